@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.faults import faults
 
-from lmpchain import Chain, Displacement, Impulse, Scene, Trajectory
+from lmpchain import Chain, Displacement, Impulse, Scene, Trajectory, simulate
 from lmpchain.trajectory.dump_frames import is_dump
 
 CHAIN = Chain(grains=5, material="glass", diameter=[1e-3, 1.2e-3, 1e-3, 0.8e-3, 1e-3])
@@ -204,6 +204,60 @@ def test_missing_columns(tmp_path: Path):
     assert fault(path) == "is cut short within a line: run LAMMPS to its end"
     path.write_text("\n" + text)
     assert "is not a LAMMPS dump in text" in fault(path)
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.79, 0.81, 1.19, 3.0])
+def test_motion_decides_at_any_sampling(tmp_path: Path, angle: float):
+    """Durations of 0.5 and 1.5 times the true one are rejected, and wrong masses are.
+
+    `angle` is half the phase of the fastest motion between two frames.
+    """
+    diameters = 1e-3 * (1 + 0.3 * (np.arange(12) % 3))
+    chain = Chain(grains=12, diameter=diameters, gravity=0.0, top_load=0.1)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3, grain=5), duration=1e-5)
+    scene = scene.replace(samples=31, duration=60 * angle / scene.highest_frequency)
+    motion = simulate(scene, "native", tolerance=1e-9)
+    rest = -np.append(0, np.cumsum(chain.contact_lengths[1:-1] - chain.equilibrium_overlap))
+    fields = motion.displacement, motion.velocity, rest
+    steps = range(0, 31000, 1000)
+    for form in ("%.17g", "%.6g"):
+        path = dump(tmp_path / "run", *fields, steps=steps, form=form, numbers=np.arange(12))
+        assert Trajectory.from_dump(path, scene).grains.size == 12
+        for factor in (0.5, 1.5):
+            message = fault(path, scene.replace(duration=factor * scene.duration))
+            assert message.startswith("its displacements change ")
+            ratio = float(message.split()[3])
+            # A lower duration resolves the motion better than the frames do.
+            assert ratio == pytest.approx(1 / factor, rel=0.02 if angle < 0.2 else 0.5)
+        heavier = scene.replace(chain=chain.replace(masses=1.5 * chain.masses))
+        if angle < 1:
+            assert fault(path, heavier).startswith("its accelerations are ")
+
+
+@pytest.mark.parametrize("flags", [True, False])
+def test_a_grain_that_crosses_a_periodic_box_needs_its_images(tmp_path: Path, flags: bool):
+    u = U.copy()
+    u[:, 0] = -U[:, 0]
+    columns = f"id x y z vz{' ix iy iz' * flags}"
+    path = dump(tmp_path / "run.dump", u=u, columns=columns)
+    # The first frame has the uppermost grain just below the upper side of the box.
+    top = REST[0] + 1e-10
+    side = f"{top - 0.02:.17g} {top:.17g}"
+    text = path.read_text().replace("ff ff ff", "ff ff pp")
+    lines = text.replace("-1 1\nITEM: ATOMS", f"{side}\nITEM: ATOMS").splitlines()
+    for number, line in enumerate(lines):
+        words = line.split()
+        if len(words) == len(columns.split()) and words[0] == str(NUMBERS[0]):
+            over = float(words[3]) > top
+            words[3] = f"{float(words[3]) - 0.02 * over:.17g}"
+            words[5:] = ["0", "0", str(int(over))] * flags
+            lines[number] = " ".join(words)
+    path.write_text("\n".join(lines) + "\n")
+    if flags:
+        found = Trajectory.from_dump(path, SCENE).displacement
+        np.testing.assert_allclose(found, u, rtol=0, atol=1e-17)
+    else:
+        assert fault(path).startswith("its positions z jump across the periodic box: dump xu yu zu")
 
 
 @pytest.mark.parametrize(("share", "good"), [(0.49, True), (0.51, False)])
