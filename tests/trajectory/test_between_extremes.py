@@ -348,6 +348,22 @@ def test_hidden_maxima_make_a_front_uncertain(kind: int, sign: float):
             assert higher == pytest.approx(abs(height) + high, rel=1e-9)
             assert late >= time - hidden * H
             assert wider == END
+    top = SINGLE(0.4)
+    # Hidden intervals, the bound on the size there, the fraction that defines the front, and the
+    # time from the first hidden maximum that may be the front to the front.
+    for hidden, bound, fraction, early in (
+        ([1], 1.2, 0.4, 0.4 - H), ([1, 2], 1.2, 0.4, 0.4 - H), ([1], 0.8, 0.75, 0.4 - H),
+        ([1], 0.8, 0.85, 0.0), ([3], 1.2, 0.4, H), ([5], 1.2, 0.4, 0.0),
+    ):  # fmt: skip
+        limits = np.full(SAMPLES - 1, -1.0)
+        for i in hidden:
+            limits[i] = bound * top
+            if kind != hermite.VELOCITY:
+                limits[i] = (2 * bound * top - size[i] - size[i + 1]) / H
+        _, height, _, late, higher, _ = front(values, kind, fraction, ceiling=limits)
+        assert late == pytest.approx(early, rel=1e-9, abs=1e-9)
+        high = abs(height) + max(bound, 1.0) * top if early else 0.0
+        assert higher == pytest.approx(high, rel=1e-9, abs=1e-9)
 
 
 def test_a_slow_maximum_may_have_turned_earlier():
