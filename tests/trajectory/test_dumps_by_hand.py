@@ -10,7 +10,10 @@ import pytest
 from helpers.faults import faults
 
 from lmpchain import Chain, Displacement, Impulse, Scene, Trajectory, simulate
+from lmpchain.errors import InputError
+from lmpchain.scene.lammps_column import RunOptions
 from lmpchain.trajectory.dump_frames import is_dump
+from lmpchain.trajectory.lammps_dump import read_grains, scene_of_run
 
 CHAIN = Chain(grains=5, material="glass", diameter=[1e-3, 1.2e-3, 1e-3, 0.8e-3, 1e-3])
 SAMPLES = 4
@@ -37,12 +40,17 @@ def dump(
     form: str = "%.17g",
     up: int = 1,
     numbers: np.ndarray = NUMBERS,
+    more: dict[str, np.ndarray] | None = None,
 ) -> Path:
-    """Write a dump with an order of atoms that changes from frame to frame."""
+    """Write a dump with an order of atoms that changes from frame to frame.
+
+    `more` contains further columns (T, N) by name.
+    """
     text = ""
     for sample, step in enumerate(steps):
         z = up * (rest - u[sample])
         fields = {"z": z, "zu": z, "zs": z, "vz": -up * v[sample], "v_phi": u[sample]}
+        fields |= {key: values[sample] for key, values in (more or {}).items()}
         text += (
             f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n{z.size}\nITEM: BOX BOUNDS ff ff ff\n"
         )
@@ -177,6 +185,15 @@ def test_invalid_numbers(tmp_path: Path):
         )
     twice = dump(tmp_path / "run.dump", numbers=np.array([4, 1, 3, 3, 5]))
     assert "cannot be read as a dump: two atoms have the same number; write it anew" in fault(twice)
+    high = dump(tmp_path / "run.dump", numbers=10**15 + NUMBERS)
+    assert np.array_equal(Trajectory.from_dump(high, SCENE).displacement, U)
+    higher = dump(tmp_path / "run.dump", numbers=2**53 + 2 * NUMBERS)
+    assert "an atom has no valid number" in fault(higher)
+    lines = dump(tmp_path / "run.dump").read_text().splitlines()
+    lines[10] = ""
+    (tmp_path / "run.dump").write_text("\n".join(lines) + "\n")
+    assert "an atom has no line at step 100" in fault(tmp_path / "run.dump")
+    twice = dump(tmp_path / "run.dump", numbers=np.array([4, 1, 3, 3, 5]))
     fewer = Scene(**SCENE.given() | {"chain": Chain(grains=4, diameter=1e-3)})
     assert (
         fault(twice, fewer)
@@ -309,3 +326,90 @@ def test_precise_numbers_are_recognised(tmp_path: Path):
         within == f"displacement within {digit / 2:.2g} m, "
         f"{digit / 2 / (U.max() * math.pi):.1g} of the largest"
     )
+
+
+# Speeds of seven grains from the top, and the grain that is held.
+HELD = {
+    "the lowest one, beside the wave": ([1, 1, 2, 1, 1, 1, 0], [7]),
+    "both ends, beside the wave": ([0, 1, 2, 1, 1, 1, 0], [1, 7]),
+    "the uppermost one, far from the strike": ([0, 0, 0, 0, 1, 0, 0], [1]),
+    "the lowest one, far from the strike": ([0, 0, 1, 0, 0, 0, 0], [7]),
+    "the end without motion": ([1, 1, 0, 0, 0, 0, 0], [7]),
+    "the other end without motion": ([0, 0, 0, 0, 0, 1, 1], [1]),
+    "none": ([1, 1, 1, 1, 1, 1, 1], []),
+}
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_the_grains_of_a_run_are_those_of_its_dump(tmp_path: Path, name: str):
+    """Grains fly at given speeds for 2e-7 s a step; all numbers are read back."""
+    speeds, held = HELD[name]
+    numbers = np.array([4, 1, 3, 2, 5, 7, 6])
+    v = 1e-3 * math.pi * np.array(speeds) * np.ones((SAMPLES, 1))
+    u = 50 * 2e-7 * TIMES * v
+    rest = -1e-3 * np.arange(7.0)
+    steps = np.array([100, 150, 200, 250])
+    more = {
+        "radius": np.full((SAMPLES, 7), 5e-4),
+        "mass": np.tile(1e-6 * numbers, (SAMPLES, 1)),
+        "type": np.tile(1 + numbers % 2, (SAMPLES, 1)),
+        "v_time": np.tile(2e-7 * steps[:, None], 7),
+    }
+    columns = "id type x y z vx vy vz radius mass v_time"
+    path = dump(tmp_path / "run.dump", u, v, rest, columns, steps, numbers=numbers, more=more)
+    path.write_text(path.read_text().replace("ff ff ff\n-1 1", "pp ff ff\n-1 2"))
+    found = read_grains(path)
+    assert found.numbers.tolist() == [1, 2, 3, 4, 5, 6, 7]
+    back = np.argsort(numbers)
+    np.testing.assert_array_equal(found.positions, np.outer(rest[back], [0, 0, 1]))
+    np.testing.assert_array_equal(found.velocities, np.outer(v[0, back], [0, 0, -1]))
+    assert set(found.numbers[found.held]) == {int(numbers[place - 1]) for place in held}
+    assert found.types.tolist() == [2, 1, 2, 1, 2, 1, 2]
+    np.testing.assert_array_equal(found.diameters, 1e-3)
+    np.testing.assert_array_equal(found.masses, 1e-6 * np.arange(1, 8))
+    assert found.duration == pytest.approx(150 * 2e-7, rel=1e-12)
+    assert found.likely_step == pytest.approx(2e-7, rel=1e-6)
+    assert found.period.tolist() == [3, math.inf, math.inf]
+    assert (found.samples, found.steps) == (SAMPLES, (100, 250))
+    assert not found.digits_lost
+    assert 0 < found.slack < 1e-17
+    short = read_grains(dump(path, u, v, rest, columns, steps, "%.8g", numbers=numbers, more=more))
+    assert short.digits_lost
+    assert short.slack == pytest.approx(2e-10, rel=1e-3)
+
+
+def test_the_scene_of_a_dump_is_found(tmp_path: Path):
+    more = {
+        "radius": np.tile(CHAIN.diameters / 2, (SAMPLES, 1)),
+        "mass": np.tile(CHAIN.masses, (SAMPLES, 1)),
+        "v_time": np.tile(1e-4 * TIMES, 5),
+    }
+    columns = "id x y z vx vy vz radius mass v_time"
+    path = dump(tmp_path / "run.dump", columns=columns, more=more)
+    found = Scene(**scene_of_run([path], RunOptions(material="glass")).fields)
+    assert found.excitation == SCENE.excitation
+    assert found.duration == pytest.approx(SCENE.duration, rel=1e-12)
+    assert found.chain.gravity == pytest.approx(9.81, rel=1e-6)
+    assert found.chain.contact_constants == pytest.approx(CHAIN.contact_constants, rel=1e-6)
+    assert found.chain.masses == pytest.approx(CHAIN.masses, rel=1e-6)
+    assert Trajectory.from_dump(path, found).displacement == pytest.approx(U, rel=1e-6, abs=1e-17)
+
+
+def test_runs_without_a_scene_are_refused(tmp_path: Path):
+    moving = dump(tmp_path / "run.dump", v=V + 1e-3)
+    for change, message in (
+        ({"steps": [100]}, "has only one frame, and so no duration: dump two or more"),
+        ({"steps": [0, 50, 100, 151]}, "its frames are not equally far apart"),
+        ({"v": np.where(V == 2e-3, np.nan, V)}, "contains numbers that are not finite"),
+        ({"v": V - V[0]}, "grains move, but not in the first frame: begin the dump"),
+        ({"columns": "id x y z vx"}, "has no column vz, the velocity along the chain"),
+        ({"more": {"x": 1e-9 * TIMES * np.ones(5)}}, "a grain moves sideways by 3e-09 m"),
+    ):
+        with pytest.raises(InputError) as error:
+            read_grains(dump(tmp_path / "bad.dump", **change))
+        assert str(error.value).startswith(f"{tmp_path / 'bad.dump'}: {message}"), message
+    with pytest.raises(InputError, match=r"^from: must be a dump, an input or data file, or one"):
+        scene_of_run([moving, moving])
+    for path, message in ((tmp_path, "is a folder"), (tmp_path / "none", "there is no such file")):
+        with pytest.raises(InputError, match=message):
+            scene_of_run([path])
