@@ -348,7 +348,9 @@ def gaps(cell: Cell | Chain) -> Array:
     (G, 2) array
         Lower and upper edges, rad/s.
     """
-    return _outside(cell)[:-1]
+    outside = _outside(cell)
+    between: Array = outside[(outside[:, 0] > 0) & (outside[:, 1] < np.inf)]
+    return between
 
 
 def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int = 8) -> int:
@@ -386,7 +388,7 @@ def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int =
 
 
 def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
-    """Return a chain's eigenmodes in the gaps or above the bands of a repeating cell.
+    """Return a chain's eigenmodes in the gaps, above or below the bands of a repeating cell.
 
     Parameters
     ----------
@@ -431,14 +433,17 @@ def _lossless(cell: Cell | Chain) -> Cell:
 
 
 def _outside(cell: Cell | Chain) -> Array:
-    """Return the gaps and the range above the highest band, (G + 1, 2) rad/s."""
+    """Return the gaps and the range above the highest band, (G + 1, 2) rad/s.
+
+    On a ground, the range below the lowest band comes first, (G + 2, 2).
+    """
     cell = _lossless(cell)
     b, _ = _extensions(cell, np.array([0.0, np.pi]))
     edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=1)
     # A branch may increase or decrease between the two wavenumbers.
     low = edges.min(0)
     high = edges.max(0)
-    between = np.column_stack((high, np.append(low[1:], np.inf)))
+    between = np.column_stack((np.append(0.0, high), np.append(low, np.inf)))
     return between[between[:, 1] - between[:, 0] > NEGLIGIBLE * high[-1]]
 
 

@@ -2,18 +2,23 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
-from lmpchain import Chain, InputError
-from lmpchain.theory.bands import Cell, branches, gap_modes, gaps, local_bands, repeating
+from lmpchain import Chain, InputError, Law
+from lmpchain.theory.bands import Cell, branches, gap_modes, gaps, local_bands, repeating, waves
 from lmpchain.theory.modes import eigenmodes
 
 LOADED = {"gravity": 0.0, "top_load": 3.0, "diameter": 1e-3}
 Q = np.linspace(-np.pi, np.pi, 23)
 DECORATED = Cell([1.0, 2.0, 3.0], [1.0, 1.5, 1.0], [[0, 0], [0.5, 0.3], [0, 0]])
-each = pytest.mark.parametrize(
-    "cell",
-    [DECORATED, Cell([2.0], [3.0]), Cell([1.0, 3.0], [1.0, 1.0]), Cell([1, 2, 5, 1], [3, 1, 2, 2])],
-)
+CELLS = [
+    DECORATED, Cell([2.0], [3.0]), Cell([1.0, 3.0], [1.0, 1.0]), Cell([1, 2, 5, 1], [3, 1, 2, 2])
+]  # fmt: skip
+GROUNDED = [
+    Cell([2.0], [3.0], ground=0.7),
+    Cell([1.0, 2.0, 3.0], [1.0, 1.5, 1.0], DECORATED.resonators, ground=[0.5, 0.0, 2.0]),
+]
+each = pytest.mark.parametrize("cell", CELLS + GROUNDED)
 
 
 def test_uniform_chain():
@@ -66,6 +71,7 @@ def test_rings_of_cells_have_frequencies_of_the_branches(cell: Cell):
     for a, b, spring in springs:
         matrix[[a, b], [a, b]] += spring
         matrix[[a, b], [b, a]] -= spring
+    matrix[range(n), range(n)] += np.tile(np.broadcast_to(cell.ground, len(cell.masses)), 6)
     root = np.sqrt(np.append(m, inside[carried, 0]))
     exact = np.linalg.eigvalsh(matrix / np.outer(root, root))
     found = np.sort(branches(cell, 2 * np.pi * np.arange(6) / 6).frequency.ravel())
@@ -190,7 +196,7 @@ def test_tolerance_and_largest_length_of_a_period():
         )
 
 
-@each
+@pytest.mark.parametrize("cell", CELLS)
 def test_long_waves_and_edges(cell: Cell):
     """Sound has the mean mass and compliance of a cell; other branches are flat at 0 and pi."""
     inside = 0.0 if cell.resonators is None else np.sum(cell.resonators, axis=0)[0]
@@ -313,6 +319,35 @@ def test_a_surface_mode_at_a_light_free_end():
     assert (np.isin(found.frequency, eigenmodes(chain).frequency)).all()
 
 
+def test_modes_at_the_edges_of_bands_are_not_in_gaps():
+    """Heavy grains alternate between walls, and light grains rest at the nodes of this mode."""
+    masses = np.resize([3.0, 1.0], 20)
+    kinds = {"diameter": 1e5, "gravity": 0.0, "top_load": 1.0, "contact_constants": np.ones(19)}
+    chain = Chain(grains=20, masses=masses, top="wall", wall_constants=(1.0, 0.0), **kinds)
+    edge = np.sqrt(2 * 1.5 / 3.0)
+    assert np.abs(eigenmodes(chain).frequency - edge).min() < 1e-14
+    assert gap_modes(chain, Cell([1.0, 3.0], [1.5, 1.5])).frequency.size == 0
+
+
+def test_a_heavy_grain_on_a_ground_has_a_mode_below_the_band():
+    """Such modes were once missing, because the range below the band did not count."""
+    ground, heavy = 0.8, 2.5
+    kinds = {"diameter": 1e5, "gravity": 0.0, "top_load": 1.0, "contact_constants": np.ones(80)}
+    chain = Chain(
+        grains=81, masses=np.where(np.arange(81) == 40, heavy, 1.0), ground=Law("s*u", s=ground),
+        **kinds,
+    )  # fmt: skip
+    found = gap_modes(chain, Cell([1.0], [1.5], ground=ground))
+    # Amplitudes fall by the factor r from grain to grain: w^2 = g - k (1 - r)^2 / r beside the
+    # impurity, and M w^2 = g + 2 k (1 - r) at the impurity.
+    r = brentq(lambda r: heavy * (ground - 1.5 * (1 - r) ** 2 / r) - ground - 3 * (1 - r), 0.1, 0.9)
+    assert found.frequency.tolist() == pytest.approx(
+        [np.sqrt(ground - 1.5 * (1 - r) ** 2 / r)], rel=1e-9
+    )
+    assert found.shape[0, 41] == pytest.approx(r * found.shape[0, 40], rel=1e-9)
+    assert found.centre == pytest.approx(41, abs=1e-6)
+
+
 def test_picture_of_bands():
     """Branches are in Hz in the order of wavenumbers, and gaps are spans."""
     q = np.array([2.0, 0.5, 3.0])
@@ -362,10 +397,20 @@ def test_picture_of_gap_modes():
         (lambda: branches(Cell([np.inf], [1.0]), 0.1), "masses"),
         (lambda: branches(Cell([1.0], [0.0]), 0.1), "stiffness"),
         (lambda: branches(Cell([1.0], [np.inf]), 0.1), "stiffness"),
+        (lambda: branches(Cell([1.0], [1.0], ground=-1.0), 0.1), "ground"),
+        (lambda: branches(Cell([1.0], [1.0], ground=[1.0, 1.0]), 0.1), "ground"),
+        (lambda: waves(Cell([1.0], [1.0], drag=-1.0), 0.1), "drag"),
+        (lambda: waves(Cell([1.0], [1.0], viscoelastic=[1.0, 1.0]), 0.1), "viscoelastic"),
+        (lambda: waves(Cell([1.0], [1.0]), [0.1, 0.0]), "frequency"),
+        (lambda: branches(Cell([1.0], [1.0], drag=1.0), 0.1), "cell"),
+        (
+            lambda: Cell.of(Chain(grains=2, ground=Law("s*sin(t)*u", s=1.0), **LOADED)),
+            "chain.ground",
+        ),
         (lambda: branches(Chain(grains=2, diameter=1e-3), 0.1), "gravity"),
         (lambda: branches(Chain(grains=2, diameter=1e-3, gravity=0.0), 0.1), "top_load"),
     ],
 )
 def test_refusals(call, key: str):
-    with pytest.raises(InputError, match=f"^{key}: must be "):
+    with pytest.raises(InputError, match=rf"^{key}: (must (be|have) |.* in time)"):
         call()
