@@ -7,7 +7,7 @@ import pytest
 from helpers.example_scenes import scene_of
 from scipy.interpolate import CubicHermiteSpline
 
-from lmpchain import Chain, Drive, Force, Scene, engines, simulate
+from lmpchain import Chain, Drive, Force, Impulse, Scene, engines, simulate
 from lmpchain.benchmark import truth
 from lmpchain.benchmark.reference import expected_seconds
 from lmpchain.cli import main
@@ -102,6 +102,20 @@ def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.
     ]
     assert f"changes the answer by {max(changes):.1e}"[:-5] in words
     assert truth.thin_trace(thinner, 1e-8) == (thinner, "")
+    struck = scene.replace(excitation=Impulse(velocity=1e-3))
+    assert truth.thin_trace(struck, 1e-8) == (struck, "")
+    # The filter needs equal distances between points; the tolerance is out of reach.
+    times = force.times.copy()
+    times[1] *= 1.1
+    uneven = scene.replace(excitation=excitation.replace(times=times))
+    fewer, words = truth.thin_trace(uneven, 1e-17)
+    assert "are used (every=26), because" in words
+    assert "the effect on the answer is unknown (" in words
+    np.testing.assert_array_equal(fewer.excitation.times, times[::26])
+    values = getattr(fewer.excitation, fewer.excitation.strength[1])
+    np.testing.assert_array_equal(
+        values, (excitation.displacement if driven else force.force)[::26]
+    )
 
 
 @pytest.mark.slow
