@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from helpers.independent_theory import gravity_column, integrate, springs
 from helpers.thinned import thinned
+from scipy.linalg import expm
 from scipy.special import eval_laguerre, roots_laguerre
 
-from lmpchain import GLASS, STEEL, Chain, InputError
+from lmpchain import GLASS, STEEL, Chain, InputError, Law
 from lmpchain.theory import modes
 
 RNG = np.random.default_rng(11)
@@ -118,6 +119,52 @@ def test_response_against_an_integrator(chain: Chain):
     exact = integrate(stiffness, displacement, velocity, tau, masses)
     for x, true in zip((found[0], found[1] * scale), exact, strict=True):
         assert np.abs(x - true).max() < 2e-12 * np.abs(true).max()
+
+
+@pytest.mark.parametrize(
+    ("viscous", "drag", "ground"),
+    [(0.1, 0.0, 0.0), (0.0, 0.3, 0.0), (3.0, 0.2, 0.0), (0.5, 0.1, 0.7), (0.0, 0.4, "uneven")],
+)
+def test_damped_response_is_that_of_the_matrix_exponential(
+    viscous: float, drag: float, ground: float | str
+):
+    """Weak damping, drag, overdamped modes, and springs to the ground; rates over the band edge."""
+    plain = Chain(grains=6, diameter=1e-3, top_load=1e-3, top="wall", gravity=9.81)
+    w = plain.band_edge
+    pulls = np.linspace(0.5, 1, 6) if ground == "uneven" else np.full(6, ground, float)
+    damping = {"viscoelastic": viscous / w, "drag": drag * w}
+    law = Law("s*u", s=pulls * w**2 * plain.masses) if pulls.any() else None
+    chain = plain.replace(damping=damping, ground=law)
+    k = np.diag(chain.contacts.stiffness[:6] / w**2 / chain.masses[0])
+    springs = np.diff(np.eye(6), axis=0, prepend=0.0)[:, :5]
+    contacts = springs.T @ k @ springs
+    rates = np.block([
+        [np.zeros((5, 5)), np.eye(5)],
+        [-contacts - np.diag(pulls[:5]), -viscous * contacts - drag * np.eye(5)],
+    ])  # fmt: skip
+    u, v = RNG.normal(size=(2, 5))
+    times = np.array([0.0, 0.3, 2.0, 9.0])
+    found = np.hstack(modes.eigenmodes(chain).response(times / w, u, w * v))
+    exact = np.array([expm(rates * t) @ np.append(u, v) for t in times])
+    assert np.abs(found / np.repeat([1.0, w], 5) - exact).max() < 1e-12
+
+
+def test_damping_that_couples_modes_is_refused():
+    plain = Chain(grains=3, diameter=1e-3, ground=Law("s*u", s=[1e3, 2e3, 0.0]))
+    for damping, key in (
+        ({"viscoelastic": 1e-7}, "chain.ground"),
+        ({"viscoelastic": [1e-7, 2e-7]}, "chain.damping.viscoelastic"),
+        ({"drag": [1.0, 1.0, 2.0]}, "chain.damping.drag"),
+    ):
+        with pytest.raises(InputError, match=f"{key}: .* couples"):
+            modes.eigenmodes(plain.replace(damping=damping))
+    for law, message in (
+        (Law("-s*u", s=1.0), "must have a stiffness of 0 or more at rest"),
+        (Law("s*sin(t)*u", s=1.0), "does not support a stiffness that changes in time"),
+        (Law("s*max(u, 0)", s=1.0), "does not support a kink at rest"),
+    ):
+        with pytest.raises(InputError, match=f"^chain.ground: .*{message}"):
+            modes.eigenmodes(plain.replace(ground=law))
 
 
 def test_two_grains_are_an_oscillator():
