@@ -233,7 +233,8 @@ def edges_around(chain: Chain, period: int) -> np.ndarray:
         cell = begin + np.arange(period)
         mass = m[cell] if period > 1 else m[[grain]]
         for at, turn in enumerate((1.0, -1.0)):
-            matrix = np.zeros((period, period))
+            own = cell if period > 1 else [grain]
+            matrix = np.diag(chain.ground_stiffness[own])
             for i in range(period):
                 after = (i + 1) % period
                 sign = turn if i == period - 1 else 1.0
@@ -253,6 +254,8 @@ def edges_around(chain: Chain, period: int) -> np.ndarray:
         (1, {"diameter": np.geomspace(1e-3, 3e-3, 12)}),
         (2, {"material": ["steel", "ptfe"] * 6}),
         (3, {"material": ["steel", "glass", "ptfe"] * 4, "gravity": 0.0, "top_load": 2.0}),
+        (1, {"ground": Law("s*u", s=np.linspace(1e5, 2e5, 12))}),
+        (2, {"material": ["steel", "ptfe"] * 6, "ground": Law("s*u", s=1e5)}),
     ],
 )
 def test_bands_around_every_grain(period: int, keys):
@@ -270,6 +273,9 @@ def test_bands_around_a_single_grain_and_in_a_vacuum():
     assert local_bands(one).ravel() == pytest.approx(
         [np.sqrt((above + below) / one.masses[0])] * 2, rel=1e-14
     )
+    held = one.replace(ground=Law("s*u", s=1e5))
+    total = above + below + 1e5
+    assert local_bands(held).ravel() == pytest.approx([np.sqrt(total / one.masses[0])] * 2)
     assert not local_bands(Chain(grains=5, diameter=1e-3, gravity=0.0)).any()
 
 

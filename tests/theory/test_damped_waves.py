@@ -6,7 +6,7 @@ from helpers.thinned import thinned
 
 from lmpchain import Chain, InputError
 from lmpchain.theory.bands import Cell, branches, gap_modes, gaps, waves
-from lmpchain.theory.scattering import transmission, transparent
+from lmpchain.theory.scattering import reflection, transmission, transparent
 
 RNG = np.random.default_rng(7)
 LOADED = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
@@ -100,7 +100,12 @@ def test_a_chain_is_a_cell_with_its_damping():
     )
     q = waves(dimer, w).wavenumber
     assert q == pytest.approx(waves(unit, 1.0).wavenumber, rel=1e-12)
-    assert waves(dimer, w).plot().get_ylabel() == "attenuation a grain"
+    found = waves(dimer, [w, 0.5 * w])
+    ax = found.plot()
+    assert ax.get_ylabel() == "attenuation a grain"
+    assert ax.lines[0].get_xdata() == pytest.approx(found.frequency / (2 * np.pi), rel=1e-14)
+    assert ax.lines[0].get_ydata().tolist() == found.attenuation.tolist()
+    assert found.attenuation == pytest.approx(found.wavenumber.imag / 2, rel=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -184,3 +189,61 @@ def test_without_damping_nothing_is_absorbed():
     found = transmission(chain, 0.3 * chain.band_edge)
     assert not found.absorbed.any()
     assert len(found.plot().lines) == 2
+
+
+def sent_back(chain: Chain, grains: int, w: float) -> complex:
+    """Return the reflected amplitude at the last grain before the end, by a dense solve."""
+    part = slice(chain.grains - grains - 1, chain.movable)
+    m = chain.masses[part]
+    above, k = chain.contacts.stiffness[part.start], chain.contacts.stiffness[1:][part]
+    drag = np.append(0.0, chain.drag[part][1:])  # The lead is undamped.
+    matrix = np.diag((-m * w**2 - 1j * w * m * drag).astype(complex))
+    for i in range(m.size - 1):
+        matrix[i : i + 2, i : i + 2] += k[i] * np.array([[1, -1], [-1, 1]])
+    matrix[-1, -1] += k[-1]
+    turn = 2 * np.arcsin(w / 2 * np.sqrt(m[0] / above))
+    matrix[0, 0] += above * (1 - np.exp(1j * turn))
+    right = np.zeros(m.size, complex)
+    right[0] = above * (np.exp(-1j * turn) - np.exp(1j * turn))
+    return complex(np.linalg.solve(matrix, right)[0] - 1)
+
+
+@pytest.mark.parametrize("bottom", ["fixed", "wall"])
+@pytest.mark.parametrize("strength", [0.0, 1e-2, 1.0])
+def test_reflection_by_the_end_of_a_chain(bottom: str, strength: float):
+    """The drag of the last grains is uneven; the other end has the same reflection if mirrored."""
+    drag = np.zeros(30)
+    drag[-12:] = strength * RNG.uniform(0.0, 1.0, 12)
+    kinds = {"grains": 30, "gravity": 0.0, "top_load": 2.0, "diameter": 1e-3, "bottom": bottom}
+    plain = Chain(**kinds)
+    edge = 2 * np.sqrt(plain.linear_stiffness[0] / plain.masses[0])
+    chain = Chain(**kinds, damping={"drag": drag * edge})
+    w = edge * np.array([0.2, 0.5, 0.9])
+    found = reflection(chain, 12, frequency=w)
+    exact = np.array([sent_back(chain, 12, one) for one in w])
+    assert found.amplitude == pytest.approx(exact, rel=1e-9, abs=1e-12)
+    assert found.reflected == pytest.approx(np.abs(exact) ** 2, rel=1e-9, abs=1e-12)
+    assert found.bands.ravel() == pytest.approx([0.0, edge], abs=1e-9 * edge)
+    if strength == 0:
+        assert found.reflected == pytest.approx(np.ones(3), rel=1e-10)
+    (line,) = found.plot().lines
+    assert line.get_xdata() == pytest.approx(w / (2 * np.pi), rel=1e-14)
+    assert line.get_ydata().tolist() == found.reflected.tolist()
+    # At the free top, u_0 = u_1.
+    turn = 2 * np.arcsin(w / edge)
+    free = reflection(chain, 9, "top", frequency=w)
+    assert free.amplitude == pytest.approx(np.exp(1j * turn * 19), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((12, "side"), 'end: must be "bottom" or "top"'),
+        ((2, "top"), "grains: must be 3 .three cells. to 30 of the chain .got 2."),
+        ((31, "top"), "grains: must be 3 .three cells. to 30 of the chain .got 31."),
+        ((12, "top", [1.0, 1e9]), "frequency: must lie within a band, 0 to .* rad/s"),
+    ],
+)
+def test_ends_without_a_reflection(arguments: tuple, message: str):
+    with pytest.raises(InputError, match=message):
+        reflection(Chain(grains=30, **LOADED), *arguments)
