@@ -1,0 +1,210 @@
+"""Tables of numbers in text and in binary files, and units, against what was written."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from helpers.instrument_files import ARRAYS, FILES, OTHER, TIME, VOLTS, push, universal
+from scipy import constants
+from scipy.io import savemat
+
+from lmpchain import InputError
+from lmpchain.util.array_files import Arrays, NamedArray, read_arrays
+from lmpchain.util.number_tables import read_table
+from lmpchain.util.units import KNOWN_UNITS, STYLES, read_units
+
+
+def columns_of(path: Path) -> list[np.ndarray]:
+    """Return all columns of numbers of a file."""
+    table = read_table(path, fewest=1)
+    return list(table.values(table.numeric).T)
+
+
+def contains(columns: list[np.ndarray], wanted: np.ndarray, rel: float) -> bool:
+    """Return whether a column equals these numbers, possibly in thousandths."""
+    size = np.abs(wanted).max()
+    return any(
+        column.shape == wanted.shape
+        and np.abs(column - factor * wanted).max() < rel * factor * size
+        for column in columns
+        for factor in (1.0, 1e3)
+    )
+
+
+@pytest.mark.parametrize("text", [text for text, _ in FILES.values()], ids=FILES)
+def test_all_rows_of_an_instrument_are_numbers(text: str, tmp_path: Path):
+    path = tmp_path / "scope.csv"
+    path.write_text(text)
+    columns = columns_of(path)
+    assert contains(columns, push(TIME), 1e-8) or contains(columns, VOLTS, 1e-8)
+    # Every number of the last line of the table is in a column, in the order of the line.
+    line = [row for row in text.splitlines() if row.strip(",;\x1a")][-1].replace("\t", ",")
+    cells = [cell for cell in line.split(",") if cell]
+    assert [column[-1] for column in columns] == [float(cell) for cell in cells]
+
+
+@pytest.mark.parametrize("write", [write for write, _ in ARRAYS.values()], ids=ARRAYS)
+def test_all_arrays_of_a_file_are_columns(
+    write: Callable[[Path], Any], tmp_path: Path, request: pytest.FixtureRequest
+):
+    path = tmp_path / request.node.callspec.id.split(",")[0]
+    write(path)
+    columns = columns_of(path)
+    assert {column.size for column in columns} == {81}
+    assert contains(columns, push(TIME), 1e-5) or contains(columns, VOLTS, 1e-5)
+
+
+def test_facts_and_units_of_arrays_are_those_of_the_file(tmp_path: Path):
+    path = tmp_path / "a.h5"
+    ARRAYS["g.h5"][0](path)
+    table = read_table(path)
+    assert [column.name for column in table.columns] == [
+        "Waveforms/Channel 1/data", "Waveforms/Channel 2/data",
+    ]  # fmt: skip
+    assert [table.fact(place, "xinc") for place in (0, 1)] == [1e-6, None]
+    assert (table.unit(0), table.unit(1)) == ("mV", "")
+    np.testing.assert_array_equal(table.values([1, 0]), np.column_stack([OTHER, VOLTS * 1e3]))
+    assert table.describe(0) == "column 1 (Waveforms/Channel 1/data) in mV"
+    with h5py.File(path, "w") as file:
+        file["levels"] = np.arange(5, dtype=np.int16)
+        file["levels"].attrs["YInc"] = 0.02
+        file["words"] = "words"
+        file["rows"] = np.arange(15.0).reshape(5, 3)
+    table = read_table(path)
+    assert table.unit(0) == "level of 0.02"
+    assert [column.name for column in table.columns] == ["levels", "rows_1", "rows_2", "rows_3"]
+    np.testing.assert_array_equal(table.values([2]).ravel(), [1.0, 4.0, 7.0, 10.0, 13.0])
+    savemat(tmp_path / "b.mat", {"x": np.arange(4.0), "y": [1.0, 2.0, np.inf, 4.0], "Length": 4})
+    table = read_table(tmp_path / "b.mat", skip=1)
+    assert table.fact(0, "length") == 4.0
+    assert list(table.numbers) == [2, 3, 4]
+    with pytest.raises(InputError, match=r"inf in row 2 of column 2 \(y\) is not a number"):
+        table.values([0, 1])
+
+
+def damaged(old: str, new: str, kind: int = 2, even: bool = True) -> str:
+    text = universal(kind, even)
+    assert old in text
+    return text.replace(old, new)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            damaged("\n    1         0", "\n    4         0"),
+            "type 4 is not a time response",
+        ),
+        (damaged("\n         2        81", "\n         5        81"), "ordinates are of type 5"),
+        (damaged("\n         2        81", "\n         2        90"), "it has 81 numbers, not 90"),
+        (damaged("    58\n", "   58b\n"), "dataset 58b is binary: export it as ASCII"),
+        (damaged("    58\n", "    15\n"), "it has no time response"),
+        (
+            damaged("Time                 s", "Time                 Hz"),
+            "abscissa is in Hz",
+        ),
+    ],
+)
+def test_universal_files_without_a_time_response_are_refused(
+    text: str, message: str, tmp_path: Path
+):
+    path = tmp_path / "a.uff"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"cannot be read as a file of UFF: .*{message}"):
+        read_table(path)
+
+
+def records_of(text: str) -> list[NamedArray]:
+    """Return the arrays of a universal file."""
+    arrays = read_arrays(Path("a.uff"), text.encode(), 2**20)
+    assert isinstance(arrays, Arrays)
+    return arrays.columns
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_records_of_universal_files_have_names_times_and_units(even: bool):
+    text = universal(4, even)
+    arrays = read_arrays(Path("a.uff"), text.encode(), 2**20)
+    assert arrays is not None and not isinstance(arrays, str)
+    assert [(a.name, a.unit) for a in arrays.columns] == [
+        ("time", "s"),
+        ("1:3", "mV"),
+        ("2:3", "N"),
+    ]
+    for array, written in zip(arrays.columns, (TIME, OTHER * 1e3, push(TIME)), strict=True):
+        np.testing.assert_allclose(array.values, written, rtol=1e-9, atol=1e-12)
+    # Units without a label are those of dataset 164; records may have different times.
+    other = "    -1\n   164\n         5mm(milli-newton)\n    -1\n" + text.replace("mV", "  ")
+    other = other.replace(f"{-2e-5:13.5E}", f"{-3e-5:13.5E}", 1 if even else 2)
+    found = records_of(other)
+    assert [a.name for a in found] == ["time", "1:3", "time", "2:3"]
+    assert found[1].unit == "units of dataset 164"
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"\x93NUMPY...", "NumPy"), (b"PK\x03\x04...", "NumPy"), (b"PK\x03\x04 xl/ ...", "Excel"),
+        (b"\x89HDF\r\n\x1a\n...", "HDF5"), (b"MATLAB 5.0 MAT-file...", "MATLAB"),
+        (b"\xd0\xcf\x11\xe0...", "Excel"),
+    ],
+)  # fmt: skip
+def test_damaged_files_are_refused(content: bytes, kind: str, tmp_path: Path):
+    path = tmp_path / "a.dat"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=f"^file: .* cannot be read as a file of {kind}: "):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,F\n0,1\n1,2\npause\n2,3\n3,3\n", "line 4: 'pause' in column 1 is not a number"),
+        ("t;F\n0;1\n1;\n2;3\n3;3\n", "line 3: '' in column 2 is not a number"),
+        ("time (us) CH 1 (V)\n0,1\n1,2\n", "has units, but not a name for each column"),
+        ("words\nand words\n", "contains no table of numbers"),
+        ("a\0b\n", "is not a text file"),
+    ],
+)
+def test_texts_without_a_table_are_refused(text: str, message: str, tmp_path: Path):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_table(path, fewest=2)
+
+
+def test_units_of_lammps_are_those_of_codata():
+    u, a0 = constants.atomic_mass, constants.physical_constants["Bohr radius"][0]
+    written = {
+        "si": (1.0, 1.0, 1.0, 1.0), "cgs": (1e-2, 1.0, 1e-3, 1e-2),
+        "micro": (1e-6, 1e-6, 1e-15, 1.0), "nano": (1e-9, 1e-9, 1e-21, 1.0),
+        "real": (1e-10, 1e-15, u, 1e5), "metal": (1e-10, 1e-12, u, 1e2),
+        "electron": (a0, 1e-15, u, a0 / 1.03275e-15),
+    }  # fmt: skip
+    assert STYLES.keys() == written.keys()
+    for name, units in written.items():
+        assert read_units(name) == pytest.approx(units, rel=1e-8)
+        assert read_units(None, name) == read_units(name, name) == read_units(name)
+    assert read_units(None) == (1.0, 1.0, 1.0, 1.0)
+    for scales in ("2,4,8", (2.0, 4.0, 8.0)):
+        given = read_units(scales)
+        assert given == (2.0, 4.0, 8.0, 0.5)
+        assert (given.force, given.pressure) == (1.0, 0.25)
+    for wrong in ("lj", "imperial", "1,2,x", (1.0, 0.0, 1.0), (1.0, 1.0, np.inf), (1.0, 2.0)):
+        with pytest.raises(InputError, match=r"^units: "):
+            read_units(wrong)
+    with pytest.raises(InputError, match="si contradicts ITEM: UNITS of the dump, micro"):
+        read_units("si", "micro")
+
+
+def test_prefixes_of_units():
+    for text, (base, factor) in {
+        "us": ("s", 1e-6), "µs": ("s", 1e-6), "μs": ("s", 1e-6), "ns": ("s", 1e-9),
+        "ps": ("s", 1e-12), "mV": ("V", 1e-3), "kN": ("N", 1e3), "millivolts": ("V", 1e-3),
+        "micrometre": ("m", 1e-6), "nanoseconds": ("s", 1e-9), "mm/s": ("m/s", 1e-3),
+        "msec": ("s", 1e-3), "kilonewtons": ("N", 1e3),
+    }.items():  # fmt: skip
+        assert KNOWN_UNITS[text] == (base, pytest.approx(factor, rel=1e-15))
