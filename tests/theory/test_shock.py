@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
 
 from lmpchain import InputError
 from lmpchain.theory.shock import Medium, State
@@ -81,12 +82,23 @@ def test_weak_shocks_agree_with_kdv_theory(law: str, exponent: float) -> None:
     assert heights == pytest.approx(2 * jumps[0], rel=0.04)
 
 
+def test_the_leading_wave_of_a_toda_shock_is_its_soliton() -> None:
+    """A soliton of speed c sinh(q) / q compresses a contact by 2 / b log(cosh(q))."""
+    length = AHEAD.overlap / (GAS.exponent - 1)
+    for jump in (0.1, 1.0, 3.0):
+        edges = GAS.toda(AHEAD, AHEAD.overlap + jump)
+        ratio = edges.leading / GAS.sound(AHEAD.overlap)
+        q = brentq(lambda q, ratio=ratio: np.sinh(q) / q - ratio, 1e-6, 20.0)
+        assert edges.height == pytest.approx(2 * length * np.log(np.cosh(q)), rel=1e-9)
+
+
 def test_no_trailing_edge_behind_strong_shocks_and_in_a_vacuum() -> None:
     """If sound is twice as fast behind as ahead, the wave train extends to the piston."""
     assert GAS.dispersive(AHEAD, 15.9 * AHEAD.overlap).trailing > 0
     assert np.isnan(GAS.dispersive(AHEAD, 16.1 * AHEAD.overlap).trailing)
     assert np.isnan(GAS.kdv(AHEAD, 5.1 * AHEAD.overlap).trailing)
-    assert np.isnan(GAS.dispersive(State(0.0, 0.0), 1.0)).all()
+    for law in (GAS.dispersive, GAS.toda, GAS.kdv):
+        assert np.isnan(law(State(0.0, 0.0), 1.0)).all()
 
 
 def test_contacts_open_behind_a_fast_withdrawal() -> None:
