@@ -1,5 +1,6 @@
 """Stores that zarr reads while they grow, and the metadata of files."""
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -20,6 +21,7 @@ from lmpchain.trajectory.record import (
     Record,
     read_result,
     read_scene,
+    shapes,
     verdict,
 )
 from lmpchain.trajectory.zarr_store import Writer, file_shapes, usable
@@ -278,3 +280,46 @@ def test_metadata_are_consolidated_like_in_zarr(tmp_path: Path):
     with pytest.warns(UserWarning, match="Consolidated metadata"):
         zarr.consolidate_metadata(tmp_path / zarr_store.NAME)
     assert by_hand == json.loads(file.read_text())
+
+
+def test_records_are_equal_if_all_fields_are():
+    gathered = {"peak_velocity": np.array([1.0, np.nan])}
+    record = dataclasses.replace(RECORD, gathered=gathered)
+    alike = dataclasses.replace(RECORD, gathered={"peak_velocity": np.array([1.0, np.nan])})
+    assert record == alike
+    changes: dict[str, Any] = {
+        "engine": "modes", "equation": 1, "time": 2 * SCENE.time, "grains": SCENE.recorded[::-1],
+        "displacement": 2 * U[0], "velocity": 2 * V[0], "error_estimate": ErrorEstimate(0.0, 2e-4),
+        "provenance": {}, "cost": RECORD.cost._replace(steps=5), "scene": SCENE.replace(samples=3),
+        "gathered": {"peak_velocity": np.array([2.0, np.nan])},
+    }  # fmt: skip
+    for name, value in changes.items():
+        assert record != dataclasses.replace(record, **{name: value}), name
+    assert record != dataclasses.replace(record, gathered={})
+    assert record != "record"
+
+
+def test_errors_and_times_are_sums_with_limits():
+    assert RECORD.cost.total_s == 6.0
+    for model, solver, total, remark in (
+        (1e-3, 2e-4, 1.2e-3, ""),
+        (0.0, 0.0, 0.0, "no recorded grain can move"),
+        (1.5, 1.0, 2.0, "the largest possible value"),
+        (0.0, 2.0, 2.0, "the largest possible value"),
+        (0.0, math.inf, math.inf, ""),
+    ):
+        error = ErrorEstimate(model, solver)
+        assert error.total == pytest.approx(total, rel=1e-15)
+        assert remark in error.remark
+        assert bool(error.remark) == bool(remark)
+
+
+def test_shapes_of_energies_depend_on_the_file():
+    chain = SCENE.chain.replace(damping={"drag": 1.0})
+    scene = SCENE.replace(chain=chain, grains=[1, 3], quantities=["peak_velocity"])
+    whole = shapes(scene, ["dissipated", "dissipated_error"])
+    assert whole["displacement"] == whole["velocity"] == (500, 2)
+    assert (whole["time"], whole["grain"], whole["peak_velocity"]) == ((500,), (2,), (2,))
+    without = shapes(scene, ())
+    assert whole.keys() - without.keys() == {"dissipated", "dissipated_error"}
+    assert whole["dissipated"] == (500,)

@@ -17,12 +17,16 @@ from helpers.command_output import names
 from lmpchain import InputError
 from lmpchain.util import files
 from lmpchain.util.files import (
+    check_not_foreign,
     check_readable,
     check_seal,
     check_tree,
+    is_foreign,
+    is_lock,
     make_folder,
     replacing,
     seal,
+    take_lock,
     unpack,
     unpack_one,
     write_aside,
@@ -271,3 +275,45 @@ def test_arrays_other_than_plain_ones_are_rejected(tmp_path: Path, how: str):
 def test_one_array_of_a_file_is_read(tmp_path: Path):
     with pytest.raises(OSError, match="is not a file, but a folder"):
         unpack_one(tmp_path, "values")
+
+
+# --- files of the user
+
+
+def test_only_files_of_lmpchain_are_replaced(tmp_path: Path):
+    ours, theirs, empty, link, none = (
+        tmp_path / name for name in ("ours", "theirs", "empty", "link", "none")
+    )
+    with write_aside(ours) as path:
+        path.write_text("ours")
+    theirs.write_text("theirs")
+    empty.touch()
+    link.symlink_to(ours)
+    assert [is_foreign(path) for path in (none, empty, theirs, link)] == [False, False, True, True]
+    sealed = tmp_path / "sealed"
+    sealed.write_bytes(b"content" + seal(b"content"))
+    assert not is_foreign(sealed)
+    for path in (theirs, link):
+        with pytest.raises(InputError, match="is a file that lmpchain did not write: name another"):
+            check_not_foreign(path, overwrite=False)
+        check_not_foreign(path, overwrite=True)
+    if hasattr(os, "getxattr") and files.WRITTEN in os.listxattr(ours):
+        assert not is_foreign(ours)
+        ours.write_text("ours, edited")
+        assert is_foreign(ours)
+
+
+def test_locks_of_others_are_not_taken(tmp_path: Path):
+    path = tmp_path / files.LOCK
+    assert is_lock(path)
+    path.write_text("a diary")
+    assert not is_lock(path)
+    with pytest.raises(InputError, match="is not a lock of lmpchain, but a link, a device or a fi"):
+        take_lock(tmp_path)
+    path.unlink()
+    path.symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere").touch()
+    assert not is_lock(path)
+    path.unlink()
+    path.mkdir()
+    assert not is_lock(path)

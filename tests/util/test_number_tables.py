@@ -46,6 +46,38 @@ def test_all_rows_of_an_instrument_are_numbers(text: str, tmp_path: Path):
     assert [column[-1] for column in columns] == [float(cell) for cell in cells]
 
 
+# Numbers and units that a file states for a column, by the names under which it states them.
+FACTS: dict[str, tuple[int, dict[str, float], tuple[str, str]]] = {
+    "Tektronix, second channel in V": (2, {"sample interval": 1e-6}, ("vertical units", "V")),
+    "Tektronix, first channel in mV": (1, {"probe attenuation": 10.0}, ("vertical units", "mV")),
+    "Tektronix TDS, channels side by side": (10, {"trigger point": 20.0}, ("vertical units", "V")),
+    "LabVIEW, no times, intervals that differ": (
+        2, {"x0": -2e-5, "delta_x": 1e-6}, ("y_unit_label", "Volts")
+    ),
+    "LabVIEW, one column of times": (1, {"delta_x": 1e-6}, ("y_unit_label", "mV")),
+    "Yokogawa, empty first cells": (
+        1, {"hresolution": 2e-6, "hoffset": 0.0}, ("vunit", "mV")
+    ),
+    "Yokogawa, no empty cells": (1, {"hresolution": 1e-6, "hoffset": -2e-5}, ("vunit", "V")),
+    "Siglent": (1, {"sample interval": 1e-6}, ("vertical units", "mV")),
+    "Rigol, cropped": (1, {"start": -4e-5, "increment": 1e-6}, ("", "Volt")),
+    "Rigol, no times, facts behind the names": (1, {"t0": -2e-5, "tinc": 1e-6}, ("", "mV")),
+    "a rate": (0, {"sample rate": 1e6, "t0": -2e-5}, ("", "N")),
+    "a remark behind a unit, below it, and none": (1, {}, ("", "mV")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FACTS)
+def test_facts_of_a_channel_are_those_above_it(name: str, tmp_path: Path):
+    place, numbers, (key, unit) = FACTS[name]
+    path = tmp_path / "scope.csv"
+    path.write_text(FILES[name][0])
+    table = read_table(path, fewest=2)
+    assert {fact: table.fact(place, fact) for fact in numbers} == numbers
+    assert table.unit(place, key) == unit
+    assert table.fact(place, "weather") is None
+
+
 @pytest.mark.parametrize("write", [write for write, _ in ARRAYS.values()], ids=ARRAYS)
 def test_all_arrays_of_a_file_are_columns(
     write: Callable[[Path], Any], tmp_path: Path, request: pytest.FixtureRequest

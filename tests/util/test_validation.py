@@ -23,7 +23,10 @@ from lmpchain.util.validation import (
     Real,
     Vector,
     Whole,
+    check_positive,
+    each,
     make_unchecked,
+    non_negative,
 )
 
 
@@ -262,3 +265,34 @@ def test_names_of_a_value_are_its_own_and_those_of_every_object():
     assert {"__class__", "__eq__", "__doc__"} <= names
     assert not {"model_dump", "model_fields", "__pydantic_fields__", "__class_vars__"} & names
     assert not {name for name in names if name.startswith("__")} - set(dir(object))
+
+
+def test_numbers_from_0_and_above_0():
+    assert (non_negative(0), non_negative(np.float64(2.5))) == (0.0, 2.5)
+    assert non_negative([0.0, 3.0]).tolist() == [0.0, 3.0]
+    for value, message in (
+        (-5e-324, "must be a finite number from 0"), (np.inf, "must be a finite number from 0"),
+        (True, "must be a number or a list"), ("1", "must be a number or a list"),
+        ([1.0, -0.5], "must be from 0, but entry 2 is -0.5"), ([], "not of shape"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            non_negative(value)
+    assert check_positive("key", np.float32(0.5)) == 0.5
+    assert check_positive("key", 3) == 3.0
+    for value in (0, -1.0, np.inf, np.nan, True, "1", None):
+        with pytest.raises(InputError, match=r"^key: must be a number above 0 \(got "):
+            check_positive("key", value)
+
+
+def test_unknown_keys_are_reported_with_the_other_faults():
+    (unknown, text), wrong = faults(Sample, real="1", rael=1.0)
+    assert (unknown, text.partition(";")[0]) == ("rael", "unknown key (did you mean 'real'?)")
+    assert wrong == ("real", "must be a number (got '1')")
+    assert each([1, 2.5], float) == (1.0, 2.5)
+
+    def make(item: Any) -> Any:
+        return Inner(**item) if isinstance(item, dict) else float(item)
+
+    with pytest.raises(InputError) as caught:
+        each([1.0, "a", {"size": 0}], make)
+    assert [key for key, _ in caught.value.faults] == ["1", "2.size"]
