@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from lmpchain.trajectory.record import (
     shapes,
     verdict,
 )
-from lmpchain.trajectory.zarr_store import Writer, file_shapes, usable
+from lmpchain.trajectory.zarr_store import Writer, check_layout, file_shapes, usable
 
 SCENE = struck(column(1000), 1e-3, 4e-6, 500, grains=list(range(1, 1001)))
 ROWS = 208  # Samples of a thousand grains that fill a chunk of about 100 KB, in multiples of 16.
@@ -323,3 +324,84 @@ def test_shapes_of_energies_depend_on_the_file():
     without = shapes(scene, ())
     assert whole.keys() - without.keys() == {"dissipated", "dissipated_error"}
     assert whole["dissipated"] == (500,)
+
+
+def edit(*path: Any, value: Any) -> Callable[[dict[str, Any]], None]:
+    """Return a change of one entry of the metadata of an array."""
+
+    def change(data: Any) -> None:
+        for key in path[:-1]:
+            data = data[key]
+        data[path[-1]] = value
+
+    return change
+
+
+SHARD = ("codecs", 0, "configuration")
+
+
+@pytest.mark.parametrize(
+    ("node", "change", "why"),
+    [
+        ("", edit("node_type", value="array"), "was not written by lmpchain"),
+        ("", edit("zarr_format", value=2), "is not in Zarr format 3"),
+        ("", edit("attributes", value=[]), "is not in Zarr format 3"),
+        ("time", edit("node_type", value="group"), "the node_type of time differs"),
+        ("velocity", edit("shape", value=[500, 999]), "the shape of velocity differs"),
+        ("grain", edit("data_type", value="float64"), "the data_type of grain differs"),
+        ("time", edit("data_type", value="int64"), "the data_type of time differs"),
+        ("time", edit("chunk_grid", "name", value="other"), "the chunk_grid of time differs"),
+        ("time", edit("chunk_key_encoding", "name", value="v2"), "the chunk_key_encoding of time"),
+        ("velocity", edit("fill_value", value=0.0), "the fill_value of velocity differs"),
+        ("time", edit("must_understand", value=True), "in a way that lmpchain does not use"),
+        ("time", edit("storage_transformers", value=[{}]), "in a way that lmpchain does not use"),
+        ("time", edit("codecs", 0, "name", value="pickle"), "codecs that lmpchain does not use"),
+        ("time", edit("codecs", 0, "must", value=1), "codecs that lmpchain does not use"),
+        (
+            "time",
+            edit("codecs", 1, "configuration", "x", value=1),
+            "options that lmpchain does not",
+        ),
+        ("time", edit("codecs", value=[]), "time is stored with codecs that lmpchain does not"),
+        ("velocity", edit("codecs", 0, "name", value="other"), "its shards differ"),
+        ("velocity", edit(*SHARD, "chunk_shape", value=[1, 1]), "its shards differ"),
+        ("velocity", edit(*SHARD, "index_codecs", value=[]), "its shards differ"),
+        ("velocity", edit(*SHARD, "index_location", value="start"), "its shards differ"),
+        ("velocity", edit(*SHARD, "codecs", value=[]), "velocity is stored with codecs"),
+    ],
+)
+def test_stores_of_another_layout_are_rejected(
+    empty: Path, node: str, change: Callable[[dict[str, Any]], None], why: str
+):
+    store = empty / NAME
+    check_layout(store, SCENE)
+    file = store / node / "zarr.json"
+    data = json.loads(file.read_text())
+    change(data)
+    file.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=why):
+        check_layout(store, SCENE)
+
+
+def test_stores_with_other_content_are_rejected(empty: Path):
+    store = empty / NAME
+    with pytest.raises(ValueError, match="the shape of "):
+        check_layout(store, SCENE.replace(samples=499))
+    # The header of a compressed chunk declares the size of its numbers.
+    numbers = zarr.open_group(store, mode="r+")["time"]
+    assert isinstance(numbers, zarr.Array)
+    numbers[:] = SCENE.time
+    chunk = next((store / "time" / "c").glob("[0-9]*"))
+    whole = chunk.read_bytes()
+    check_layout(store, SCENE)
+    chunk.write_bytes(whole[:4] + (2**31 - 8).to_bytes(4, "little") + whole[8:])
+    with pytest.raises(ValueError, match="it declares more numbers than it can contain"):
+        check_layout(store, SCENE)
+    chunk.write_bytes(whole)
+    (store / "more").mkdir()
+    with pytest.raises(ValueError, match="contains further data"):
+        check_layout(store, SCENE)
+    (store / "more").rmdir()
+    (store / "velocity" / "zarr.json").unlink()
+    with pytest.raises(ValueError, match="velocity is not in Zarr format 3"):
+        check_layout(store, SCENE)
