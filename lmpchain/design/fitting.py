@@ -17,7 +17,8 @@ from ..util.arrays import Array
 from ..util.plotting import SHADES, Axes, chart, finish, letter_panels, panels, window
 from ..util.tabular import NamedColumn, Tabular
 from ..util.units import FIELD_UNITS
-from .parameters import changed
+from ..util.validation import check_positive, check_whole
+from .parameters import as_names, changed
 from .traces import Traces
 from .unknowns import Problem
 
@@ -98,6 +99,8 @@ class Fit(Fitted, Tabular):
         if name not in self.names:
             message = f"must be one of {', '.join(self.names)} (got {shown(name)})"
             raise InputError.at("name", message)
+        check_positive("reach", reach)
+        check_whole("points", points, 1)
         problem = self._problem
         index = self.names.index(name)
         others = np.arange(self.estimate.size) != index
@@ -122,6 +125,12 @@ class Fit(Fitted, Tabular):
             import emcee
         except ImportError as error:
             raise InputError.at("posterior", "needs emcee: pip install emcee") from error
+        for key, value, low in (
+            ("samples", samples, 1),
+            ("walkers", walkers, 1),
+            ("seed", seed, 0),
+        ):
+            check_whole(key, value, low)
         rng = np.random.default_rng(seed)
         problem = self._problem
         count = self.estimate.size
@@ -261,8 +270,10 @@ def fit(
     if not measured or not all(isinstance(trace, Traces) for trace in measured):
         raise InputError.at("traces", f"must be Traces, or several (got {shown(traces)})")
     _check_noise(measured)
-    names = [parameters] if isinstance(parameters, str) else parameters
-    choices = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names, "common")
+    if isinstance(parameters, Mapping):
+        choices = dict(parameters)
+    else:
+        choices = dict.fromkeys(as_names(parameters), "common")
     ends = [trace.time[-1] for trace in measured if not trace.trigger]
     _check_reach(scene, max(ends, default=0.0))
     problem = Problem(scene, measured, choices)

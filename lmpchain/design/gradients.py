@@ -11,7 +11,7 @@ import numpy as np
 
 from ..engines.cost_model import announce
 from ..engines.stepping.rounding import native_floor
-from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, not_among, shown
+from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, not_among
 from ..integrators.adjoint import Inputs
 from ..integrators.differentiation import (
     DIFFERENTIABLE,
@@ -24,9 +24,10 @@ from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
 from ..util.compilation import clock
+from ..util.validation import check_positive
 from . import parameters as params
 from .differences import FixedRun, differentiate, scales_of
-from .objectives import Objective, Seen, Slopes
+from .objectives import Objective, Seen, Slopes, check_objective
 
 
 @dataclass(frozen=True)
@@ -472,10 +473,11 @@ def gradient(
     ((10,), True)
     """
     names = params.check(scene, parameters)
+    check_objective(objective)
     check_tolerance(tolerance)
     check_flags(adaptive=adaptive)
-    if step is not None and not 0 < step < math.inf:
-        raise InputError.at("step", f"must be above 0, in s (got {shown(step)})")
+    if step is not None:
+        step = check_positive("step", step, "above 0, in s")
     if step is not None and not scene.duration / step < MOST_STEPS:
         least = f"longer than {scene.duration / MOST_STEPS:.1g} s, because runs would take hours"
         raise InputError.at("step", f"must be {least} (got {step:g})")

@@ -199,6 +199,14 @@ class Objective(Protocol):
         """Return the value and its derivatives."""
 
 
+def check_objective(objective: object, key: str = "objective") -> None:
+    """Raise `InputError` unless the argument is an objective."""
+    has_all = all(hasattr(objective, name) for name in ("dense", "grains"))
+    if isinstance(objective, type) or not has_all or not callable(objective):
+        message = f"must be an objective, such as PeakForce(40) (got {shown(objective)})"
+        raise InputError.at(key, message)
+
+
 AHEAD = 1e-100  # Speed of a grain far ahead of a wave, m/s.
 
 

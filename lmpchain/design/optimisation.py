@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, RunFailed, shown
+from ..errors import InputError, RunFailed, check_tolerance, shown
 from ..integrators.differentiation import method_for
 from ..integrators.halving import SAFETY
 from ..scene.scene import Scene
@@ -23,9 +23,10 @@ from ..util.files import LARGEST_JSON, check_readable, make_folder, replacing
 from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.progress import ProgressBar
 from ..util.tabular import NamedColumn, Tabular
+from ..util.validation import check_whole
 from . import parameters as params
 from .gradients import RUNS, Answer, at_step, refine
-from .objectives import Objective
+from .objectives import Objective, check_objective
 from .parameters import changed
 
 
@@ -163,10 +164,13 @@ class _Box:
     """Bounded parameters, scaled to numbers from 0 to 1."""
 
     def __init__(self, scene: Scene, names: Sequence[str], bounds: Mapping[str, tuple[Any, Any]]):
+        if not isinstance(bounds, Mapping):
+            message = f"must be two bounds for each parameter, by name (got {shown(bounds)})"
+            raise InputError.at("bounds", message)
         faults = [
             ("bounds", f"give a lower and an upper bound of {name}")
             for name in names
-            if name not in bounds
+            if not isinstance(bounds.get(name), Sequence | np.ndarray) or len(bounds[name]) != 2
         ]
         faults += [
             ("bounds", f"{shown(name)} is not one of the parameters")
@@ -181,12 +185,14 @@ class _Box:
         self.sizes = np.cumsum([0, *(values.size for values in present)])
 
         def bound(side: int) -> Array:
-            return np.concatenate(
-                [
-                    np.broadcast_to(numbers(bounds[name][side], "bounds"), values.shape)
-                    for name, values in zip(names, present, strict=True)
-                ]
-            )
+            entries = []
+            for name, values in zip(names, present, strict=True):
+                given = numbers(bounds[name][side], "bounds")
+                if given.shape not in ((), (1,), values.shape):
+                    message = f"of {name} must be one number or {values.size} (got {given.size})"
+                    raise InputError.at("bounds", message)
+                entries.append(np.broadcast_to(given, values.shape))
+            return np.concatenate(entries)
 
         low = bound(0)
         high = bound(1)
@@ -306,7 +312,15 @@ def optimise(
     from scipy.stats import qmc
 
     check_flags(maximise=maximise)
+    check_tolerance(tolerance)
+    for key, count, lowest in (("starts", starts, 1), ("runs", runs, 1), ("seed", seed, 0)):
+        check_whole(key, count, lowest)
     names = params.check(scene, parameters)
+    check_objective(objective)
+    if not isinstance(constraints, Sequence) or not all(map(callable, constraints)):
+        raise InputError.at(
+            "constraints", f"must be a list of functions (got {shown(constraints)})"
+        )
     box = _Box(scene, names, bounds)
     drawn = qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))
     begins = np.vstack([box.start, drawn])[:starts]

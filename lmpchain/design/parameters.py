@@ -81,9 +81,9 @@ def names_of_formulas(chain: Chain) -> list[str]:
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names; raise `InputError` if a name is unknown or has no derivative."""
+    """Return each name once; raise `InputError` if one is unknown or has no derivative."""
     check_scene(scene)
-    names = (names,) if isinstance(names, str) else tuple(names)
+    names = as_names(names)
     known = [*UNITS, *names_of_formulas(scene.chain)]
     faults = [(name if name in known else "parameters", _refuse(scene, name)) for name in names]
     if not names:
@@ -91,7 +91,15 @@ def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
     faults = [(key, message) for key, message in faults if message]
     if faults:
         raise InputError(faults)
-    return names
+    return tuple(dict.fromkeys(names))
+
+
+def as_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Return one name or several as a tuple; raise `InputError` for other values."""
+    if not isinstance(names, Iterable):
+        message = f"must be one or more names of parameters (got {shown(names)})"
+        raise InputError.at("parameters", message)
+    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def _refuse(scene: Scene, name: str) -> str:

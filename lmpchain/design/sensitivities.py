@@ -281,11 +281,15 @@ def sensitivity(
     """
     answer, unit = objective(of) if isinstance(of, str) else (of, "")
     names = _parameters(scene)
+    if not isinstance(uncertain, Mapping | None):
+        message = f"must be uncertainties by parameter name (got {shown(uncertain)})"
+        raise InputError.at("uncertain", message)
     uncertain = dict(uncertain or {})
     for name, share in uncertain.items():
         if name not in names:
             raise InputError.at("uncertain", not_among(name, tuple(names)))
-        if not 0 <= share < 1:
+        number = isinstance(share, int | float | np.number) and not isinstance(share, bool)
+        if not number or not 0 <= share < 1:
             message = f"must be from 0 to 1, relative to each entry (got {shown(share)})"
             raise InputError.at(name, message)
     slopes = gradient(scene, answer, names, tolerance)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,19 @@ LOWEST = -0.9
 # Smallest relative change of parameters that may vanish.
 NOTHING = -1.0
 MAY_VANISH = (params.VISCOSITY, params.DRAG)
+
+
+def _entries(name: str, choice: Any, size: int) -> list[int]:
+    """Return the numbers of the entries that are unknown; raise `InputError` if they are none."""
+    if isinstance(choice, str) and choice == "each":
+        return list(range(1, size + 1))
+    chosen = isinstance(choice, Iterable) and not isinstance(choice, str)
+    entries = list(choice) if chosen else []
+    whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in entries)
+    if not chosen or not whole or not all(1 <= number <= size for number in entries):
+        message = f'must be "common", "each" or numbers from 1 to {size}'
+        raise InputError.at(name, f"{message} (got {shown(choice)})")
+    return [int(number) for number in entries]
 
 
 class Problem:
@@ -95,12 +108,7 @@ class Problem:
         if isinstance(choice, str) and choice == "common":
             self._add_common(name, base, largest, symbol)
             return
-        all_entries = isinstance(choice, str) and choice == "each"
-        numbers = range(1, base.size + 1) if all_entries else choice
-        if isinstance(numbers, str) or not all(1 <= number <= base.size for number in numbers):
-            message = f'must be "common", "each" or numbers from 1 to {base.size}'
-            raise InputError.at(name, f"{message} (got {shown(choice)})")
-        for number in numbers:
+        for number in _entries(name, choice, base.size):
             # The unit of an entry of 0 is the largest entry.
             unit = float(base[number - 1]) or largest or 1.0
             self._add(f"{name} {number}", float(base[number - 1]), unit, symbol)

@@ -296,6 +296,14 @@ def check_positive(key: str, value: Any, what: str = "a number above 0") -> floa
     return float(value)
 
 
+def check_whole(key: str, value: Any, low: int) -> int:
+    """Return a whole number of at least `low`; raise `InputError` for other values."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < low:
+        raise InputError.at(key, f"must be a whole number from {low} (got {shown(value)})")
+    return int(value)
+
+
 def non_negative(value: Any) -> Any:
     """Return a non-negative number as a float, or a list of them as an array."""
     value = _plain(value)

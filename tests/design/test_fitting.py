@@ -1,6 +1,7 @@
 """Fits against runs of another integrator, random noise, and the linear theory of errors."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -150,6 +151,13 @@ def test_undetermined_parameters_are_rejected():
     ):
         with pytest.raises(InputError, match=text):
             fit(traces, guess(), parameters)
+    whole = 'velocity: must be "common", "each" or numbers from 1 to 10'
+    for choice in ("all", 3, None, [1.5], [True], ["1"], [0]):
+        with pytest.raises(InputError, match=whole):
+            fit(traces, guess(), {"velocity": choice})
+    for names in (None, 3):
+        with pytest.raises(InputError, match="parameters: must be one or more names"):
+            fit(traces, guess(), names)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="has no 11"):
         fit(Traces(SCENE.time, [11], np.zeros(201)), guess(), ["top_load"])
     with pytest.raises(InputError, match="increasing"):
@@ -180,6 +188,13 @@ def test_a_posterior_is_reproducible_from_its_seed():
     first, again, other = (fitted.posterior(40, walkers=4, seed=seed) for seed in (3, 3, 4))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
+    wrong: Any
+    for wrong in ({"samples": 0}, {"samples": 2.5}, {"walkers": "many"}, {"seed": -1}):
+        with pytest.raises(InputError, match=f"^{next(iter(wrong))}: must be a whole number"):
+            fitted.posterior(**wrong)
+    for wrong in ({"points": 0}, {"points": 1.5}, {"reach": -1.0}, {"reach": "far"}):
+        with pytest.raises(InputError, match=f"^{next(iter(wrong))}: must be a"):
+            fitted.profile("velocity", **wrong)
 
 
 @pytest.mark.soak

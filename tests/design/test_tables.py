@@ -435,3 +435,59 @@ def test_an_unreachable_tolerance_is_reported_with_the_best_value():
         ToleranceNotMet, match=r"^the error of the gradient is [0-9.e-]+: use a shorter time"
     ):
         gradient(scene, Momentum([1]), ["masses"], 1e-16)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"starts": 0}, r"starts: must be a whole number from 1 \(got 0\)"),
+        ({"starts": 1.5}, r"starts: must be a whole number from 1 \(got 1.5\)"),
+        ({"starts": True}, r"starts: must be a whole number from 1 \(got True\)"),
+        ({"runs": 0}, r"runs: must be a whole number from 1 \(got 0\)"),
+        ({"seed": -1}, r"seed: must be a whole number from 0 \(got -1\)"),
+        ({"tolerance": 0.0}, r"tolerance: must be between 0 and 1"),
+        ({"tolerance": np.nan}, r"tolerance: must be between 0 and 1"),
+        ({"bounds": 3.0}, r"bounds: must be two bounds for each parameter, by name \(got 3.0\)"),
+        ({"bounds": {"velocity": 3.0}}, r"bounds: give a lower and an upper bound of velocity"),
+        ({"bounds": {"velocity": (1, 2, 3)}}, r"bounds: give a lower and an upper bound of velo"),
+        (
+            {"bounds": {"velocity": ([1, 2, 3], 4)}},
+            r"bounds: of velocity must be one number or 2 \(got 3\)",
+        ),
+        ({"objective": "momentum:1"}, r"objective: must be an objective, such as PeakForce\(40\)"),
+        ({"objective": Momentum}, r"objective: must be an objective, such as PeakForce\(40\)"),
+        ({"parameters": None}, r"parameters: must be one or more names of parameters"),
+        ({"constraints": 3}, r"constraints: must be a list of functions \(got 3\)"),
+        ({"constraints": [3]}, r"constraints: must be a list of functions"),
+    ],
+)
+def test_tasks_that_are_none_are_refused(change: dict[str, Any], message: str):
+    task: dict[str, Any] = {
+        "scene": FLYING, "objective": pulled(-3.0), "parameters": ["velocity"], "bounds": VELOCITY,
+        "starts": 1,
+    }  # fmt: skip
+    with pytest.raises(InputError, match=f"^{message}"):
+        optimise(**task | change)
+
+
+def test_gradients_and_sensitivities_of_nothing_are_refused():
+    from lmpchain.design import gradient
+
+    for change, message in (
+        ({"step": "1e-7"}, "step: must be above 0, in s"),
+        ({"step": True}, "step: must be above 0, in s"),
+        ({"objective": "momentum:1"}, "objective: must be an objective"),
+    ):
+        task: dict[str, Any] = {"objective": Momentum([1]), "parameters": ["masses"]}
+        with pytest.raises(InputError, match=f"^{message}"):
+            gradient(FLYING, **task | change)
+    with pytest.raises(InputError, match=r"^objective: must be an objective"):
+        sensitivity(FLYING, 3)  # type: ignore[arg-type]
+    for uncertain in ({"velocity": "0.1"}, {"velocity": True}):
+        with pytest.raises(InputError, match=r"^velocity: must be from 0 to 1"):
+            sensitivity(FLYING, Momentum([1]), uncertain)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^uncertain: must be uncertainties by parameter name"):
+        sensitivity(FLYING, Momentum([1]), 0.1)  # type: ignore[arg-type]
+    # A name that is given twice counts once.
+    twice = gradient(FLYING, Momentum([1]), ["masses", "masses"])
+    assert list(twice) == ["masses"]
