@@ -354,6 +354,21 @@ def test_a_fit_finds_the_ground_of_a_harmonic_grain() -> None:
     assert found.names == ["chain.ground.s"]
     assert abs(found.estimate[0] - truth * K) <= found.bias[0] <= 0.051 * found.error[0]
     assert found.values["chain.ground.s"] == found.estimate
+    axes = found.plot()
+    assert isinstance(axes, list)
+    assert [ax.get_ylabel() for ax in axes] == [
+        "velocity, downward", "displacement, downward", "force above rest",
+    ]  # fmt: skip
+    for ax, trace, label in zip(
+        axes, traces, ("velocity of grain 1", "displacement of grain 1", "contact 1"), strict=True
+    ):
+        points, line = ax.lines
+        np.testing.assert_array_equal(points.get_xydata(), np.c_[trace.time, trace.values])
+        assert line.get_label() == label
+        size = np.abs(trace.values).max()
+        np.testing.assert_allclose(line.get_ydata(), trace.values[:, 0], atol=1e-3 * size)
+    with pytest.raises(InputError, match=r"^ax: give 3 axes, one for each of "):
+        found.plot(axes[0])
 
 
 def test_the_size_of_a_parameter_follows_from_the_largest_force() -> None:
