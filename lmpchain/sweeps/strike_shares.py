@@ -20,6 +20,7 @@ from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
 from ..util.plotting import ERROR_BARS, Axes, chart, finish
 from ..util.tabular import Tabular
+from ..util.validation import check_positive
 
 # Numbers of grains of the first chain and of the longest one. Waves separate slowly if the exponent
 # is near 1.
@@ -29,6 +30,7 @@ SAMPLES_A_GRAIN = 12  # Number of samples in the time from grain to grain.
 STRIKE = 0.1  # Strike velocity, m/s; the shares do not depend on it.
 # Velocity of the leading wave relative to the strike, smaller than any observed ratio.
 SLOWEST = 0.35
+BETWEEN = "between 0 and 1"
 MASS = 1e-6
 CONSTANT = 1e9
 
@@ -112,10 +114,10 @@ def strike_shares(exponents: ArrayLike, accuracy: float = 1e-5) -> StrikeShares:
     [0.993661, 0.9984521]
     """
     chosen = np.atleast_1d(numbers(exponents, "exponents"))
-    if not ((chosen > 1) & (chosen <= 3)).all():
+    if chosen.ndim != 1 or not chosen.size or not ((chosen > 1) & (chosen <= 3)).all():
         raise InputError.at("exponents", f"must be above 1 and at most 3 (got {shown(exponents)})")
-    if not 0 < accuracy < 1:
-        raise InputError.at("accuracy", f"must be between 0 and 1 (got {accuracy})")
+    if check_positive("accuracy", accuracy, BETWEEN) >= 1:
+        raise InputError.at("accuracy", f"must be {BETWEEN} (got {accuracy})")
     trains = [_train(float(exponent), accuracy) for exponent in chosen]
     shares = np.array([train.all_share for train in trains])
     return StrikeShares(

@@ -154,13 +154,15 @@ class Bands(Shown, Tabular):
         It is ``1 / (pi |v|)`` with the group velocity v of the only branch at this frequency.
         """
         w = real(frequency, "frequency")
+        require(("frequency", np.isfinite(w), "must be finite"))
         cosine = _half_trace(self.cell, w)
-        bands = branches(self.cell, np.arccos(np.clip(cosine, -1, 1)).ravel())
+        # The wavenumber is complex in a gap, where the cosine exceeds 1 or is no number.
+        inside = np.abs(cosine) <= 1
+        bands = branches(self.cell, np.arccos(np.where(inside, cosine, 0.0)).ravel())
         nearest = np.abs(bands.frequency - w.ravel()).argmin(0)
         v = np.take_along_axis(bands.group_velocity, nearest[None], 0)[0].reshape(w.shape)
-        # The wavenumber is complex in a gap, where the cosine exceeds 1.
         with np.errstate(divide="ignore"):
-            return np.where(np.abs(cosine) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
+            return np.where(inside, 1 / (np.pi * np.abs(v)), 0.0)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the branches over wavenumber and shade the gaps between them; return the axes."""
@@ -282,8 +284,11 @@ def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
     require(("frequency", (w > 0) & np.isfinite(w), "must be finite and above 0"))
     # The formula with sin^2(q / 2) is accurate for long waves.
     square = -_excess_trace(cell, w) / 4
-    q = 2 * np.arcsin(np.sqrt(square + 0j))
+    # Nothing moves beyond a grain whose undamped resonator is driven at its own frequency.
+    still = ~np.isfinite(square)
+    q = 2 * np.arcsin(np.sqrt(np.where(still, 0.0, square) + 0j))
     q = np.where(q.imag < 0, -q, q) if cell.damped else np.abs(q.real) + 1j * np.abs(q.imag)
+    q = np.where(still, complex(0.0, np.inf), q)
     return Waves(cell, w, q, q.imag / np.size(cell.masses))
 
 
@@ -321,6 +326,7 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     """
     cell = _lossless(cell)
     q = np.atleast_1d(real(wavenumber, "wavenumber"))
+    require(("wavenumber", np.isfinite(q), "must be finite"))
     b, slope = _extensions(cell, q)
     left, frequency, right = np.linalg.svd(b, full_matrices=False)
     # First-order perturbation of a singular value.
@@ -525,30 +531,33 @@ def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
     m, k, resonators = _check_cell(cell)
     w_flat = w.ravel()
     square = w_flat**2
-    # The dynamic mass of a grain includes the force of its resonator.
-    dynamic = np.broadcast_to(m[:, None], (m.size, w.size)).copy()
+    # The inertia of a grain, force over displacement, includes its resonator and the ground.
+    inertias = m[:, None] * square - _check_ground(cell)[:, None]
     springs = np.broadcast_to(k[:, None], (k.size, w.size))
     if cell.damped:
         viscosity, drag = _check_damping(cell)
-        dynamic = dynamic * (1 + 1j * drag[:, None] / w_flat)
+        inertias = inertias + 1j * (m * drag)[:, None] * w_flat
         springs = springs * (1 - 1j * viscosity[:, None] * w_flat)
-    ground = _check_ground(cell)
-    if ground.any():
-        dynamic = dynamic - ground[:, None] / square
+    # The result is infinite or no number at the frequency of a resonator.
     with np.errstate(divide="ignore", invalid="ignore"):
         for grain, mass, stiffness in resonators:
-            dynamic[int(grain)] += mass / (1 - square * mass / stiffness)
+            inertias[int(grain)] += mass * square / (1 - square * mass / stiffness)
+        return _trace(inertias, springs).reshape(w.shape)
+
+
+def _trace(inertias: NDArray[Any], springs: NDArray[Any]) -> NDArray[Any]:
+    """Return the trace of the transfer matrix minus the identity, (F,), for P grains (P, F)."""
     # The identity is subtracted from the transfer matrix of displacement and force, because it
     # would hide the digits of long waves.
-    change = np.zeros((w.size, 2, 2), dynamic.dtype)
-    for inertia, stiff in zip(dynamic, springs, strict=True):
+    change = np.zeros((inertias.shape[1], 2, 2), inertias.dtype)
+    for inertia, stiff in zip(inertias, springs, strict=True):
         force = np.zeros_like(change)
-        force[:, 1, 0] = inertia * square
+        force[:, 1, 0] = inertia
         stretch = np.zeros_like(change)
         stretch[:, 0, 1] = -1 / stiff
         for step in (force, stretch):
             change = change + step + step @ change
-    return change.trace(axis1=1, axis2=2).reshape(w.shape)
+    return change.trace(axis1=1, axis2=2)
 
 
 def _check_ground(cell: Cell) -> Array:

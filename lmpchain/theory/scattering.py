@@ -29,7 +29,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
 from ..util.tabular import Tabular
-from .domain import real, require
+from .domain import real, require, whole
 
 __dir__ = listed(__name__)
 
@@ -206,6 +206,7 @@ def reflection(
     'amplitude 1.2e-03, energy 1.5e-06'
     """
     cell = sponge.period(chain, end)
+    grains = int(whole("grains", grains))
     least = 3 * cell
     fits = f"must be {least} (three cells) to {chain.grains} of the chain (got {shown(grains)})"
     sides = f'must be "bottom" or "top" (got {shown(end)})'

@@ -35,8 +35,11 @@ def test_wrong_exponents_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     """Waves of a linear chain are not solitary; for similar exponents they separate too late."""
     with pytest.raises(InputError, match="above 1"):
         strike_shares([1.0])
-    with pytest.raises(InputError, match="accuracy"):
-        strike_shares([1.5], accuracy=0.0)
+    with pytest.raises(InputError, match="above 1"):
+        strike_shares([])
+    for accuracy in (0.0, 1.0, np.nan, "small"):
+        with pytest.raises(InputError, match=r"^accuracy: must be between 0 and 1 \(got"):
+            strike_shares([1.5], accuracy=accuracy)  # type: ignore[arg-type]
     monkeypatch.setattr(strikes, "LONGEST_CHAIN", 100)
     with pytest.raises(RunFailed, match=r"exponent 1\.01"):
         strike_shares([1.01])

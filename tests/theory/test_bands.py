@@ -217,6 +217,22 @@ def test_density_of_states_at_edges_and_of_any_shape():
     assert bands.density_of_states([2.0001, 5.0]).tolist() == [0.0, 0.0]
 
 
+def test_nothing_passes_a_resonator_at_its_frequency_or_a_ground_at_rest():
+    """Both once ended in an error of the singular value decomposition."""
+    carried = Cell([1.0], [1.0], [[0.5, 0.125]])
+    assert branches(carried, 0.3).density_of_states([0.5]).tolist() == [0.0]
+    found = waves(carried, [0.1, 0.5])
+    assert found.attenuation.tolist() == [0.0, np.inf]
+    close = waves(carried, 0.5 * (1 + np.array([-1e-9, 1e-9]))).attenuation
+    assert (close > 15).all()
+    for ground in (0.5, [0.5]):
+        held = branches(Cell([1.0], [1.0], ground=ground), 0.3)
+        assert held.density_of_states([0.0, 0.5]).tolist() == [0.0, 0.0]
+        # w^2 = g + 4 sin(q / 2)^2, so that dw/dq = sin(q) / w.
+        exact = held.frequency[0] / np.sin(0.3) / np.pi
+        assert held.density_of_states(held.frequency[0]) == pytest.approx(exact, rel=1e-9)
+
+
 def test_very_narrow_gaps_are_ignored():
     # Widths in 1e-9 of the highest frequency: 0.95 and 1.04.
     for odd, count in ((2.7e-9, 0), (2.95e-9, 1)):
@@ -403,6 +419,8 @@ def test_picture_of_gap_modes():
         (lambda: branches(Cell([np.inf], [1.0]), 0.1), "masses"),
         (lambda: branches(Cell([1.0], [0.0]), 0.1), "stiffness"),
         (lambda: branches(Cell([1.0], [np.inf]), 0.1), "stiffness"),
+        (lambda: branches(Cell([1.0], [1.0]), np.nan), "wavenumber"),
+        (lambda: branches(Cell([1.0], [1.0]), 0.1).density_of_states([np.inf]), "frequency"),
         (lambda: branches(Cell([1.0], [1.0], ground=-1.0), 0.1), "ground"),
         (lambda: branches(Cell([1.0], [1.0], ground=[1.0, 1.0]), 0.1), "ground"),
         (lambda: waves(Cell([1.0], [1.0], drag=-1.0), 0.1), "drag"),

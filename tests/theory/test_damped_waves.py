@@ -239,6 +239,7 @@ def test_reflection_by_the_end_of_a_chain(bottom: str, strength: float):
     ("arguments", "message"),
     [
         ((12, "side"), 'end: must be "bottom" or "top"'),
+        ((12.5, "top"), "grains: must be whole numbers"),
         ((2, "top"), "grains: must be 3 .three cells. to 30 of the chain .got 2."),
         ((31, "top"), "grains: must be 3 .three cells. to 30 of the chain .got 31."),
         ((12, "top", [1.0, 1e9]), "frequency: must lie within a band, 0 to .* rad/s"),
