@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..measure.harmonic import HarmonicWave, wave
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene, check_scene
@@ -139,6 +139,16 @@ def dispersion(
         np.atleast_1d(numbers(values, key))
         for values, key in ((frequencies, "frequencies"), (amplitudes, "amplitudes"))
     )
+    faults = [
+        (key, f"must be one or more finite numbers {rule} (got {shown(given)})")
+        for key, rule, given, allowed in (
+            ("frequencies", "above 0", frequencies, (frequency > 0) & np.isfinite(frequency)),
+            ("amplitudes", "other than 0", amplitudes, (amplitude != 0) & np.isfinite(amplitude)),
+        )
+        if allowed.ndim != 1 or not allowed.size or not allowed.all()
+    ]
+    if faults:
+        raise InputError(faults)
     scenes = [
         scene.replace(
             excitation=drive.replace(amplitude=float(a), frequency=float(f)),

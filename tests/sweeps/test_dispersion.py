@@ -1,5 +1,7 @@
 """Dispersion by frequency and amplitude in one call."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,15 @@ def test_phase_decreases_with_the_square_of_the_amplitude() -> None:
     axes = found.plot()
     assert axes.get_xlabel() == "frequency"
     assert "(rad)" in axes.get_ylabel()
+    for number, bars in enumerate(axes.containers):
+        drawn = bars.lines[0].get_xydata()
+        shift = found.phase[:, number] - found.linear_phase
+        np.testing.assert_allclose(drawn, np.column_stack([found.frequency, shift]), rtol=1e-12)
+    assert len(axes.containers) == 3
+    assert table["frequency [Hz]"].tolist() == np.repeat(found.frequency, 3).tolist()
+    assert table["amplitude [m]"].tolist() == [1e-12, 1e-7, 2e-7] * 2
+    assert table["phase [rad]"].tolist() == found.phase.ravel().tolist()
+    assert table["linear_phase"].tolist() == np.repeat(found.linear_phase, 3).tolist()
 
 
 def test_a_scene_without_a_harmonic_drive_is_rejected() -> None:
@@ -39,5 +50,13 @@ def test_a_scene_without_a_harmonic_drive_is_rejected() -> None:
     chain, scene = chain_and_scene()
     with pytest.raises(InputError, match="Drive or a Force"):
         dispersion(scene.replace(excitation=Impulse(velocity=1e-3)), [1e3], [1e-9])
+    wrong: Any
+    with pytest.raises(InputError, match=r"^frequencies: .* above 0 \(got \[-1000"):
+        dispersion(scene, [-1e3], [1e-9])
+    for wrong in ([], [0.0], [np.nan], [np.inf], [[1e3]]):
+        with pytest.raises(InputError, match=r"^frequencies: must be one or more finite numbers"):
+            dispersion(scene, wrong, [1e-9])
+        with pytest.raises(InputError, match=r"^amplitudes: must be one or more finite numbers"):
+            dispersion(scene, [1e3], wrong)
     with pytest.raises(InputError, match=r"frequency .* Hz"):
         dispersion(scene, [1e-2 * chain.band_edge], [1e-9])
