@@ -76,14 +76,13 @@ def _advance(chain, method, work, clock, out, landed):
     x = chain.x
     v = chain.v
     h = clock.equal_step
-    now = clock.begin + state.done * h
     then = clock.begin + (state.done + 1) * h
     widen(chain, 2)
     a = chain.history[0]
     middle = chain.history[1]
     # At later steps the accelerations are known from the end of the previous step.
     if state.steps == 0:
-        _accelerate(chain, work, now)
+        _accelerate(chain, work, clock.begin)
         if balanced:
             _note(chain, work, 0.0)
     hold(chain, v)
