@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline, PPoly, make_interp_spline
 from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, InputError, Riemann, Scene, Trajectory, simulate
-from lmpchain.measure import planar
+from lmpchain.measure import planar, shock
 from lmpchain.theory.shock import Medium
 from lmpchain.theory.soliton import solve
 
@@ -44,6 +44,9 @@ def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength
     jump = waves.crest[0] - waves.trough[0]
     assert np.median(waves.mean_error) < 0.06 * jump
     assert (np.diff(waves.self_similar) < 0).all()
+    seen = shock.find(shock_of(exponent, strength))
+    # Lower waves are left out.
+    assert (waves.crest - waves.trough > 0.05 * (seen.behind.overlap - seen.ahead.overlap)).all()
     assert waves.plot().get_xlabel()
 
 
