@@ -135,20 +135,8 @@ def dispersion(
     drive = scene.excitation
     if not isinstance(drive, Drive | Force) or drive.frequency is None:
         raise InputError.at("excitation", "must be a Drive or a Force with a frequency")
-    frequency, amplitude = (
-        np.atleast_1d(numbers(values, key))
-        for values, key in ((frequencies, "frequencies"), (amplitudes, "amplitudes"))
-    )
-    faults = [
-        (key, f"must be one or more finite numbers {rule} (got {shown(given)})")
-        for key, rule, given, allowed in (
-            ("frequencies", "above 0", frequencies, (frequency > 0) & np.isfinite(frequency)),
-            ("amplitudes", "other than 0", amplitudes, (amplitude != 0) & np.isfinite(amplitude)),
-        )
-        if allowed.ndim != 1 or not allowed.size or not allowed.all()
-    ]
-    if faults:
-        raise InputError(faults)
+    frequency = _read_list("frequencies", frequencies, "above 0")
+    amplitude = _read_list("amplitudes", amplitudes, "other than 0")
     scenes = [
         scene.replace(
             excitation=drive.replace(amplitude=float(a), frequency=float(f)),
@@ -179,3 +167,13 @@ def dispersion(
         waves=waves,
         _unit=unit,
     )
+
+
+def _read_list(key: str, given: ArrayLike, rule: str) -> Array:
+    """Return one or more finite numbers; raise `InputError` if one of them breaks the rule."""
+    values = np.atleast_1d(numbers(given, key))
+    allowed = np.isfinite(values) & (values > 0 if rule == "above 0" else values != 0)
+    if values.ndim != 1 or not values.size or not allowed.all():
+        message = f"must be one or more finite numbers {rule} (got {shown(given)})"
+        raise InputError.at(key, message)
+    return values

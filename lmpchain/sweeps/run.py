@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, LmpchainError, RunFailed, short, shown
+from ..errors import InputError, LmpchainError, RunFailed, short
 from ..util.files import (
     check_tree,
     describe_holder,
@@ -41,6 +41,7 @@ from ..util.files import (
 )
 from ..util.progress import ProgressBar
 from ..util.remarks import warn, warnings_aside
+from ..util.validation import check_whole
 from .file import FORMAT, Sweep, read_sweep
 from .results import Labels, drop, list_earlier, load_sweep, make_labels, take_over
 from .store import (
@@ -232,8 +233,7 @@ def sweep(
     RunFailed
         If the connection to the scheduler is lost; results that were computed are kept.
     """
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise InputError.at("workers", f"must be a whole number from 1 (got {shown(workers)})")
+    workers = check_whole("workers", workers, 1)
     if scheduler is not None and executor is not None:
         raise InputError.at("scheduler", "cannot be combined with an executor: give one of the two")
     local = scheduler is None and executor is None
