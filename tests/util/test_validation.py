@@ -24,6 +24,7 @@ from lmpchain.util.validation import (
     Vector,
     Whole,
     check_positive,
+    check_whole,
     each,
     make_unchecked,
     non_negative,
@@ -282,6 +283,10 @@ def test_numbers_from_0_and_above_0():
     for value in (0, -1.0, np.inf, np.nan, True, "1", None):
         with pytest.raises(InputError, match=r"^key: must be a number above 0 \(got "):
             check_positive("key", value)
+    assert (check_whole("key", 1, 1), check_whole("key", np.int64(7), 0)) == (1, 7)
+    for value in (0, -1, 1.0, True, "1", None):
+        with pytest.raises(InputError, match=r"^key: must be a whole number from 1 \(got "):
+            check_whole("key", value, 1)
 
 
 def test_unknown_keys_are_reported_with_the_other_faults():
