@@ -36,7 +36,7 @@ REFUSED: list[tuple[Chain, str, str, str]] = [
         "x does not support a stiffness that changes in time: leave t out of its formula",
     ),
     (
-        *(PLAIN.replace(ground=Law("k*max(u, 0)", k=1e5)), "refuse_moving_ground"),
+        *(PLAIN.replace(ground=Law("k*max(u, 0)", k=1e5)), "refuse_ground_without_modes"),
         "chain.ground",
         "x does not support a kink at rest: use a native run",
     ),
@@ -52,8 +52,9 @@ def test_a_theory_names_the_property_that_it_does_not_support(
     # The stiffness of a ground that changes in time is that at t = 0.
     moving = PLAIN.replace(ground=laws.mathieu(1e5, 0.1, 1000.25))
     assert moving.ground_stiffness.tolist() == pytest.approx([1.1e5] * 9, rel=1e-14)
-    # A ground that is smooth and constant does not move.
-    PLAIN.replace(ground=Law("k*u", k=1e5)).refuse_moving_ground("x")
+    # A ground that is smooth and constant does not move, nor does one with a kink.
+    PLAIN.replace(ground=Law("k*u", k=1e5)).refuse_ground_without_modes("x")
+    PLAIN.replace(ground=Law("k*max(u, 0)", k=1e5)).refuse_moving_ground("x")
 
 
 def test_a_bond_holds_grains_that_would_only_touch() -> None:
