@@ -361,6 +361,18 @@ def test_simultaneous_peaks_have_infinite_speed():
     assert at_once.against_depth("speed")[0].tolist() == [2.5, 3.5]
 
 
+def test_a_displacement_that_turns_just_before_a_flight() -> None:
+    """Where an interval is flat within its error, the error of the height covers the maximum."""
+    chain = column(20, diameter=5e-3, material="steel", gravity=0.0, bottom="wall")
+    upward = Impulse(velocity=-0.0159718, grain=20)
+    coarse, dense = (run(chain, upward, 1.9275e-3, 123 * n + 1, 1e-8) for n in (1, 32))
+    front, exact = (track(each, "displacement") for each in (coarse, dense))
+    same = exact.where(np.isin(exact.grain, front.grain))
+    assert same.grain.tolist() == front.grain.tolist() == list(range(6, 21))
+    assert (np.abs(front.amplitude - same.amplitude) <= front.amplitude_error).all()
+    assert (np.abs(front.time - same.time) <= front.time_error).all()
+
+
 def test_grains_at_rest_are_skipped():
     """A long chain at rest behind the wave does not change the front."""
     short, long = (

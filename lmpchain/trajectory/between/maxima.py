@@ -211,13 +211,14 @@ def _has_fallen(last):
 
 
 @compiled
-def _exceed(last, begin, error, h, t, s, height, bend):
+def _exceed(last, before, error, h, t, s, height, bend):
     """Replace the last maximum by a larger size at place s.
 
-    The interval begins at time t with the size `begin`. `bend` is a lower bound on the curvature at
-    the maximum, or 0 if the curvature may vanish.
+    The interval begins at time t with the value `before`. `bend` is a lower bound on the curvature
+    at the maximum, or 0 if the curvature may vanish.
     """
     top = abs(height)
+    begin = abs(before)
     if bend == 0.0 and top > 0.0:
         # Possibly free flight: the maximum is at the start of the flight.
         flat = begin <= (1.0 + NO_FALL) * abs(last.height) and top <= begin + error
@@ -226,7 +227,13 @@ def _exceed(last, begin, error, h, t, s, height, bend):
             last.off = larger(last.off, error)
             last.tilt = larger(last.tilt, SHAPE.slope * error / h)
             return
-        s = 0.0 if begin >= (1.0 - NO_FALL) * top else s
+        if begin >= (1.0 - NO_FALL) * top:
+            s = 0.0
+            if begin > top:
+                # The previous interval, flat within its error, ended above the last maximum.
+                height = before
+                top = begin
+                error = larger(error, last.off)
     last.when = t + s * h
     last.height = height
     last.off = error
@@ -293,7 +300,7 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
             bend = 0.0
             if k < turns:
                 bend = sure_bend(work[D], count - 1, s, abs(there), error, work) / h**2
-            _exceed(last, abs(before), error, h, t, s, there, bend)
+            _exceed(last, before, error, h, t, s, there, bend)
         last.since = min(last.since, abs(there))
         here = there
         begin = s
