@@ -317,6 +317,11 @@ class Chain(ChainPicture, Checked):
         return law.with_walls(self.grains) if isinstance(law, Law) else law
 
     @property
+    def strongest_when_closest(self) -> bool:
+        """Whether the force of every contact is largest when its grains are closest."""
+        return self.damping.longest_time == 0 and self.law.grows
+
+    @property
     def ground(self) -> Law | None:
         """The force from the ground on every grain, or None."""
         return self.given_ground  # type: ignore[return-value]

@@ -75,10 +75,8 @@ WIDEN = 1e3  # Largest factor between two values of x.
 PARTS = np.linspace(0.0, 1.0, 33)[1:]
 TINY_PARTS = 2.0 ** np.arange(-48, -5)
 
-# Overlaps at which the largest force of a law that decreases is searched, and sections around it.
+# Number of overlaps between which the largest force of a law that decreases is searched.
 SCANNED = 1001
-GOLDEN_SECTIONS = 40
-GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 def _smooth_rule(size: int = 24) -> Array:
@@ -725,12 +723,15 @@ class Law(ContactLaw):
         best = int(np.nanargmax(values))
         largest = float(values[best])
         low, high = places[max(best - 1, 0)], places[min(best + 1, places.size - 1)]
-        # Golden sections find the maximum between two neighbouring places.
-        for _ in range(GOLDEN_SECTIONS):
-            left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-            forces = [float(np.ravel(self.force(x, constant))[0]) for x in (left, right)]
-            largest = max(largest, *forces)
-            low, high = (low, right) if forces[0] > forces[1] else (left, high)
+        if low < high:
+            from scipy.optimize import minimize_scalar
+
+            def pull(x: float) -> float:
+                return -float(np.ravel(self.force(x, constant))[0])
+
+            exact = {"xatol": 1e-9 * (high - low)}
+            found = minimize_scalar(pull, bounds=(low, high), method="bounded", options=exact)
+            largest = max(largest, -float(found.fun))
         everywhere, possible = self._sampled(constant)
         return largest, max(largest, float(possible[everywhere <= closest].max(initial=-np.inf)))
 

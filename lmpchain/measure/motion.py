@@ -182,18 +182,20 @@ class Motion:
         ------
         InputError
             If the bottom is free, its "fixed" grain is driven, the grain that touches it was not
-            recorded, or contacts are viscous.
+            recorded, or contacts are viscous or soften.
         """
         chain = self.scene.chain
         if chain.bottom == "free":
             raise InputError.at("end", "there is no wall at the end 'bottom' of this chain")
         if self.scene.excitation.from_below and chain.bottom == "fixed":
             raise InputError.at("end", OF_DRIVER)
-        if chain.damping.longest_time > 0:
-            number = chain.movable
-            cure = f'add "peak_force:{number}" to the quantities of the scene, or use wall_force'
-            fault = f"the largest force of a viscous contact is not at its closest approach: {cure}"
-            raise InputError.at("chain.damping.viscoelastic", fault)
+        if not chain.strongest_when_closest:
+            key, kind = "damping.viscoelastic", "viscous"
+            if chain.damping.longest_time == 0:
+                key, kind = "law", "softening"
+            cure = f'add "peak_force:{chain.movable}" to the quantities of the scene'
+            fault = f"the largest force of a {kind} contact is not at its closest approach: {cure}"
+            raise InputError.at(f"chain.{key}", f"{fault}, or use wall_force")
         # A fixed grain N replaces the wall, and its own weight adds to the force.
         closer, error = self.closest(chain.movable)
         law = chain.contacts.of(np.array([chain.movable]))

@@ -175,13 +175,12 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     # the accelerations follow from samples, which must be closer.
     resolved = RESOLVED if scene.chain.conservative else RESOLVED_BY_DIFFERENCES
     swift = scene.sampling_phase > resolved
-    # With viscous contacts the largest force need not occur at the closest approach.
-    viscous = scene.chain.damping.longest_time > 0
+    early = not scene.chain.strongest_when_closest
     gathered_names = {
         _name_in_run(scene, name)
         for name in keep
         if of_contact(name)
-        or (moves_grains and is_extreme(name) and (swift or (viscous and name == "wall_force")))
+        or (moves_grains and is_extreme(name) and (swift or (early and name == "wall_force")))
     }
     missing = sorted(gathered_names - {*scene.quantities, ""})
     return scene.replace(quantities=(*scene.quantities, *missing)) if missing else scene

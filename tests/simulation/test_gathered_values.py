@@ -11,7 +11,9 @@ from scipy.optimize import minimize_scalar
 
 from lmpchain import Chain, Displacement, Impulse, InputError, Law, Scene, engines, simulate
 from lmpchain.engines import Native
+from lmpchain.measure.motion import motion_of
 from lmpchain.simulation.accumulation import GatheringRun, of_engine
+from lmpchain.sweeps.quantities import with_gathered
 from lmpchain.theory.modes import eigenmodes
 
 ASKED = [
@@ -282,6 +284,11 @@ def test_the_largest_force_of_a_contact_that_softens_is_passed_before_it_is_clos
             assert peak == pytest.approx(-top.fun, rel=1e-9)
         else:
             assert peak < -0.9 * top.fun
+    # A sweep therefore accumulates the force on the wall, which samples alone do not show.
+    hard = run(chain, strike, 20 / rate, 11)
+    assert with_gathered(hard.scene, ["wall_force"], True).quantities == ("peak_force:4",)
+    with pytest.raises(InputError, match="a softening contact is not at its closest approach"):
+        motion_of(hard).largest_wall_force()
     # A bound that another overlap may exceed is part of the error.
     wave = Law("k*L*sin(o/L) + 0.1*k*o", k=k, L=length)
     weak = Impulse(velocity=0.1 * length * rate)
