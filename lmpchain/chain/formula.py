@@ -449,6 +449,13 @@ def negative(a: Formula) -> Formula:
     return a.parts[0] if a.operation == "negative" else make("negative", (a,))
 
 
+def root(a: Formula) -> Formula:
+    """Return the square root of a; that of a power is a power, whose slope at 0 is known."""
+    if a.operation == "**" and (p := a.parts[1].number) is not None and p % 2:
+        return power(a.parts[0], number(p / 2))
+    return _constant("sqrt", (a.number,)) if a.number is not None else make("sqrt", (a,))
+
+
 def _arithmetic(operation: str, a: Formula, b: Formula) -> Formula:
     if a.number is not None and b.number is not None:
         return _constant(operation, (a.number, b.number))
@@ -462,6 +469,7 @@ SIMPLIFIED: dict[str, Callable[..., Formula]] = {
     "/": divide,
     "**": power,
     "negative": negative,
+    "sqrt": root,
 }
 
 

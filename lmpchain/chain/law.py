@@ -447,7 +447,7 @@ class Law(ContactLaw):
             before = np.searchsorted(values, forces, side="left") - 1
             unique = (before >= 0) & (after < values.size)
             if not (unique | touches).all():
-                raise self._no_rest(float(forces[~(unique | touches)][0]), 0)
+                raise self._no_rest(float(forces[~(unique | touches)][0]), constant, 0)
             low, high = places[np.maximum(before, 0)], places[np.minimum(after, values.size - 1)]
         else:
             for n in np.flatnonzero(~touches):
@@ -455,13 +455,16 @@ class Law(ContactLaw):
                 near = np.flatnonzero(signs)
                 rises = np.flatnonzero(np.diff(signs[near]) > 0)
                 if rises.size != 1:
-                    raise self._no_rest(float(forces[n]), rises.size)
+                    raise self._no_rest(float(forces[n]), constant, rises.size)
                 low[n], high[n] = places[near[rises[0]]], places[near[rises[0] + 1]]
         return np.where(touches, 0.0, self._refined(low, high, forces, constant))
 
-    def _no_rest(self, force: float, count: int) -> InputError:
+    def _no_rest(self, force: float, constant: float, count: int) -> InputError:
         if count:
             fault = f"has {count} equilibria under {force:g} N: change load or gravity"
+        elif force == 0.0 and self.force(0.0, constant) == 0.0:
+            cure = "use powers such as max(o, 0)**1.5 in place of roots and logarithms of 0"
+            fault = f"has an undefined stiffness at an overlap of 0: {cure}"
         else:
             fault = f"has no equilibrium under {force:g} N: its force does not reach this value"
         return InputError.at("law", f"{fault} ({self.text})")

@@ -306,6 +306,8 @@ def test_overlaps_under_a_force_and_an_energy_have_closed_forms() -> None:
         Law("k*(o + L)*o*(o - L)/L**2", k=K, L=WIDTH).overlap(0.0)
     with pytest.raises(InputError, match="has no equilibrium under -2e-05 N"):
         adhesive.overlap(-2e-5)
+    with pytest.raises(InputError, match="has an undefined stiffness at an overlap of 0: use"):
+        Law("k*(o + sqrt(o**2))**1.5", k=K).overlap(0.0)
     # The overlap at which a contact stores an energy, and the stretch of a bond that is stiffer.
     energy = np.array([1e-18, 1e-9, 1e-6])
     with mp.workdps(40):
@@ -337,6 +339,9 @@ def test_overlaps_under_a_force_and_an_energy_have_closed_forms() -> None:
 def test_only_the_powers_of_the_package_replace_a_formula() -> None:
     for exponent in (1, 1.5, 2.7, 3):
         assert Law(f"k*max(o, 0)**{exponent}").as_exponent == exponent
+    assert Law("k*sqrt(max(o, 0)**3)").as_exponent == 1.5
+    # The root of a square is a magnitude, and has no slope at 0.
+    assert Law("k*sqrt(o**2)", k=K).force(np.array([-2.0, 2.0])).tolist() == [2 * K, 2 * K]
     others = [
         "k*max(o, 0)**0.9",
         "k*max(o, 0)**3.1",
