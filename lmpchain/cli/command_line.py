@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import atexit
+import ctypes
 import gc
 import io
 import os
@@ -183,9 +184,11 @@ OBJECTS_BETWEEN_LOOKS = 20_000
 BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
 
 
-# If memory is limited, as by `ulimit -v`, OpenBLAS requests memory for its threads for ever.
+# If memory is limited, as by `ulimit -v`, OpenBLAS requests memory for its threads for ever, and
+# Python waits for ever for a thread whose memory is refused: glibc reserves 64 MB for each thread.
 SMALL_MEMORY = 2**32  # Bytes.
-ONE_THREAD = "OPENBLAS_NUM_THREADS", "1"
+FOR_SMALL_MEMORY = {"OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
+M_ARENA_MAX = -8  # Number of this option of glibc in this process; processes that it starts read it.
 HELP_WIDTH = 78  # Columns.
 PURPOSE = (
     "Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with "
@@ -222,7 +225,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     atexit.register(gc.freeze)
     os.environ.setdefault(*BRIEF_WAITING)
     if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < SMALL_MEMORY:
-        os.environ.setdefault(*ONE_THREAD)
+        for variable, value in FOR_SMALL_MEMORY.items():
+            os.environ.setdefault(variable, value)
+        with suppress(AttributeError):  # Other libraries reserve nothing.
+            ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     if mpi.count_processes() > 1 and not _uses_ranks(argv):
         if mpi.is_launched() and not mpi.is_first():
             # Rank 0 does all the work.
