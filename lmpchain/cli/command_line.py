@@ -188,7 +188,7 @@ BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
 # Python waits for ever for a thread whose memory is refused: glibc reserves 64 MB for each thread.
 SMALL_MEMORY = 2**32  # Bytes.
 FOR_SMALL_MEMORY = {"OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
-M_ARENA_MAX = -8  # Number of this option of glibc in this process; processes that it starts read it.
+M_ARENA_MAX = -8  # Number of the second one as an option of glibc, for this process itself.
 HELP_WIDTH = 78  # Columns.
 PURPOSE = (
     "Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with "
