@@ -462,7 +462,7 @@ class Law(ContactLaw):
     def _no_rest(self, force: float, constant: float, count: int) -> InputError:
         if count:
             fault = f"has {count} equilibria under {force:g} N: change load or gravity"
-        elif force == 0.0 and self.force(0.0, constant) == 0.0:
+        elif force == 0.0 and np.isnan(self.stiffness(0.0, constant)).any():
             cure = "use powers such as max(o, 0)**1.5 in place of roots and logarithms of 0"
             fault = f"has an undefined stiffness at an overlap of 0: {cure}"
         else:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import atexit
-import ctypes
 import gc
 import io
 import os
@@ -188,7 +187,8 @@ BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
 # Python waits for ever for a thread whose memory is refused: glibc reserves 64 MB for each thread.
 SMALL_MEMORY = 2**32  # Bytes.
 FOR_SMALL_MEMORY = {"OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
-M_ARENA_MAX = -8  # Number of the second one as an option of glibc, for this process itself.
+# Number of the option MALLOC_ARENA_MAX in glibc; a running process no longer reads the variable.
+M_ARENA_MAX = -8
 HELP_WIDTH = 78  # Columns.
 PURPOSE = (
     "Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with "
@@ -227,6 +227,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < SMALL_MEMORY:
         for variable, value in FOR_SMALL_MEMORY.items():
             os.environ.setdefault(variable, value)
+        import ctypes  # Most commands do not need it.
+
         with suppress(AttributeError):  # Other libraries reserve nothing.
             ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     if mpi.count_processes() > 1 and not _uses_ranks(argv):

@@ -190,9 +190,8 @@ class Motion:
         if self.scene.excitation.from_below and chain.bottom == "fixed":
             raise InputError.at("end", OF_DRIVER)
         if not chain.strongest_when_closest:
-            key, kind = "damping.viscoelastic", "viscous"
-            if chain.damping.longest_time == 0:
-                key, kind = "law", "softening"
+            viscous = chain.damping.longest_time > 0
+            key, kind = ("damping.viscoelastic", "viscous") if viscous else ("law", "softening")
             cure = f'add "peak_force:{chain.movable}" to the quantities of the scene'
             fault = f"the largest force of a {kind} contact is not at its closest approach: {cure}"
             raise InputError.at(f"chain.{key}", f"{fault}, or use wall_force")

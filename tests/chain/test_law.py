@@ -308,6 +308,8 @@ def test_overlaps_under_a_force_and_an_energy_have_closed_forms() -> None:
         adhesive.overlap(-2e-5)
     with pytest.raises(InputError, match="has an undefined stiffness at an overlap of 0: use"):
         Law("k*(o + sqrt(o**2))**1.5", k=K).overlap(0.0)
+    with pytest.raises(InputError, match="has no equilibrium under 0 N"):
+        Law("-k*o", k=K).overlap(0.0)
     # The overlap at which a contact stores an energy, and the stretch of a bond that is stiffer.
     energy = np.array([1e-18, 1e-9, 1e-6])
     with mp.workdps(40):
