@@ -78,6 +78,52 @@ def test_facts_of_a_channel_are_those_above_it(name: str, tmp_path: Path):
     assert table.fact(place, "weather") is None
 
 
+# Names and units of the columns of a file, and the line of its first row.
+HEADERS: dict[str, tuple[str, list[tuple[str, str]], int]] = {
+    "Tektronix": (FILES["Tektronix, times in ms"][0], [("TIME", ""), ("CH1", ""), ("CH2", "")], 12),
+    "Tektronix TDS": (FILES["Tektronix TDS, channels side by side"][0], [("", "")] * 11, 1),
+    "LabVIEW": (
+        FILES["LabVIEW, one column of times"][0],
+        [("X_Value", ""), ("A", ""), ("Hammer", "Trigger")], 15,
+    ),
+    "Yokogawa": (
+        FILES["Yokogawa, empty first cells"][0], [("", ""), ("CH1", ""), ("CH2", "")], 9
+    ),
+    "Keysight": (
+        FILES["Keysight, times not named"][0],
+        [("x-axis", "second"), ("1", "Volt"), ("2", "Volt")], 3,
+    ),
+    "Rigol": (
+        FILES["Rigol, cropped"][0], [("X", "Sequence"), ("CH1", "Volt"), ("CH2", "Volt")], 3
+    ),
+    "remarks": (
+        FILES["a remark behind a unit, below it, and none"][0],
+        [("Time", "us"), ("Hammer (Trigger)", "mV"), ("Count", "")], 3,
+    ),
+    "NumPy": ("# t[s]   F[mN]\n0 1\n1e-6 2\n", [("t", "s"), ("F", "mN")], 2),
+    "units alone": ("ms,N\n0,1\n1,2\n", [("", "ms"), ("", "N")], 2),
+    "wide gaps": (
+        "Elapsed time (s)   Force\n0   1\n1   2\n", [("Elapsed time", "s"), ("Force", "")], 2
+    ),
+    "decimal commas": ("t (s) F\n0,5 1,0\n1,0 2,5\n", [("t", "s"), ("F", "")], 2),
+    "quotes": ('"t, s";"F ""N"""\n"0";"1"\n"1";"2"\n', [("t, s", ""), ('F "N"', "")], 2),
+    "lines above": ("made: today\n\nt,F\n0,1\n1,2\n\n,\n", [("t", ""), ("F", "")], 4),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_columns_have_the_names_and_units_of_their_header(name: str, tmp_path: Path):
+    text, columns, line = HEADERS[name]
+    path = tmp_path / "scope.csv"
+    for encoding in ("utf-8", "utf-16"):
+        path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
+        table = read_table(path, fewest=2)
+        assert [column[:2] for column in table.columns] == columns
+        assert table.numbers[0] == line
+        # Rows that are skipped are counted.
+        assert read_table(path, skip=line, fewest=2).numbers[0] == line + 1
+
+
 @pytest.mark.parametrize("write", [write for write, _ in ARRAYS.values()], ids=ARRAYS)
 def test_all_arrays_of_a_file_are_columns(
     write: Callable[[Path], Any], tmp_path: Path, request: pytest.FixtureRequest
@@ -115,6 +161,23 @@ def test_facts_and_units_of_arrays_are_those_of_the_file(tmp_path: Path):
     assert list(table.numbers) == [2, 3, 4]
     with pytest.raises(InputError, match=r"inf in row 2 of column 2 \(y\) is not a number"):
         table.values([0, 1])
+
+
+def test_the_table_is_the_longest_one_with_enough_columns(tmp_path: Path):
+    arrays = {"long": np.arange(9.0), "a": np.arange(4.0), "b": -np.arange(4.0)}
+    np.savez(tmp_path / "a.npz", **arrays)
+    for fewest, names in {1: ["long"], 2: ["a", "b"], 3: ["long"]}.items():
+        table = read_table(tmp_path / "a.npz", fewest=fewest)
+        assert [column.name for column in table.columns] == names
+        wanted = np.column_stack([arrays[name] for name in names])
+        np.testing.assert_array_equal(table.values(table.numeric), wanted)
+    # Columns of a matrix have no names; a file without enough rows has no table.
+    np.save(tmp_path / "b.npy", np.arange(6.0).reshape(3, 2))
+    table = read_table(tmp_path / "b.npy", skip=2)
+    assert [table.describe(place) for place in table.numeric] == ["column 1", "column 2"]
+    np.testing.assert_array_equal(table.values([0, 1]), [[4.0, 5.0]])
+    with pytest.raises(InputError, match="contains no table of numbers"):
+        read_table(tmp_path / "b.npy", skip=3)
 
 
 def damaged(old: str, new: str, kind: int = 2, even: bool = True) -> str:
