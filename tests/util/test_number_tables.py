@@ -124,6 +124,15 @@ def test_columns_have_the_names_and_units_of_their_header(name: str, tmp_path: P
         assert read_table(path, skip=line, fewest=2).numbers[0] == line + 1
 
 
+def test_labels_of_rows_and_words_within_remarks_are_no_facts(tmp_path: Path):
+    path = tmp_path / "scope.csv"
+    path.write_text("Vertical Units: mV\ncoupling: AC,probe = 10,9\nF\nfirst,0,1\nsecond,1,2\n")
+    table = read_table(path, fewest=2)
+    assert table.fact(1, "first") is table.fact(1, "second") is table.fact(1, "coupling") is None
+    assert table.fact(2, "probe") == 10.0
+    assert table.unit(1, "vertical units") == "mV"
+
+
 @pytest.mark.parametrize("write", [write for write, _ in ARRAYS.values()], ids=ARRAYS)
 def test_all_arrays_of_a_file_are_columns(
     write: Callable[[Path], Any], tmp_path: Path, request: pytest.FixtureRequest
@@ -149,10 +158,13 @@ def test_facts_and_units_of_arrays_are_those_of_the_file(tmp_path: Path):
     with h5py.File(path, "w") as file:
         file["levels"] = np.arange(5, dtype=np.int16)
         file["levels"].attrs["YInc"] = 0.02
+        file["levels"].attrs["XInc"] = [1e-6, 2e-6]
         file["words"] = "words"
+        file["nothing"] = h5py.Empty("f8")
         file["rows"] = np.arange(15.0).reshape(5, 3)
     table = read_table(path)
     assert table.unit(0) == "level of 0.02"
+    assert table.fact(0, "xinc") is None
     assert [column.name for column in table.columns] == ["levels", "rows_1", "rows_2", "rows_3"]
     np.testing.assert_array_equal(table.values([2]).ravel(), [1.0, 4.0, 7.0, 10.0, 13.0])
     savemat(tmp_path / "b.mat", {"x": np.arange(4.0), "y": [1.0, 2.0, np.inf, 4.0], "Length": 4})
