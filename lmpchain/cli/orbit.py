@@ -24,11 +24,12 @@ def orbit(arguments: argparse.Namespace) -> int:
     )
     if name:
         family = _answers(scene, name, until)
-        family[0].response(arguments.draw)
     else:
         from ..orbits.modes import mode_family
 
         family = mode_family(scene.chain, arguments.mode, arguments.energy, progress=on_terminal())
+    if arguments.draw not in ("", "energy"):
+        family[0].response(arguments.draw)
     print("\n".join(_describe(family)))
     keep(family, numbers, None)
     # This command draws two results: the family and its last orbit.
@@ -42,10 +43,10 @@ def orbit(arguments: argparse.Namespace) -> int:
 
 def _read_goal(arguments: argparse.Namespace) -> tuple[str, float]:
     """Return the continuation parameter and its final value; the name is empty for a mode."""
-    mode = arguments.mode is not None and arguments.energy is not None
-    if mode == (arguments.follow is not None):
+    mode, energy = arguments.mode is not None, arguments.energy is not None
+    if mode != energy or mode == (arguments.follow is not None):
         cure = "give --mode and --energy, or --follow drive.frequency=1.2e4"
-        raise InputError.at("orbit", f"needs a mode or a drive to follow: {cure}")
+        raise InputError.at("orbit", f"needs a mode or a drive to follow, not both: {cure}")
     if mode:
         return "", 0.0
     name, _, value = arguments.follow.partition("=")
@@ -98,7 +99,7 @@ def _picture(family: Family, of: str) -> Figure:
     first, right = picture.subplots(1, 2)
     for ax in (first, right):
         ax.set_prop_cycle(color=list(COLOURS.values()))
-    family.plot(first, of if family[0].drive else "")
+    family.plot(first, of)
     family[-1].plot(right)
     letter_panels([first, right])
     return picture

@@ -352,9 +352,9 @@ VERBS = {
             _argument(
                 "--draw",
                 metavar="SIZE",
-                default="amplitude",
-                help="size of the answer in the picture: amplitude, displacement:GRAIN or "
-                "force:CONTACT (default: amplitude)",
+                default="",
+                help="size of the motion in the picture: amplitude, displacement:GRAIN, "
+                "force:CONTACT or energy (default: amplitude, and energy for a mode)",
             ),
             PICTURE,
             NUMBERS,

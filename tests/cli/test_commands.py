@@ -552,6 +552,11 @@ def test_an_orbit_is_described_in_numbers():
     assert (float(residual), float(error)) == pytest.approx((last.residual, last.error), rel=0.06)
     assert told[4] == "Floquet multipliers: stable"
     assert len(told) == 5 + len(family.events)
+    # The picture shows the size that was asked for, and the last orbit.
+    for of, label in {"": "energy above rest", "displacement:2": "displacement of grain 2"}.items():
+        panels = orbit._picture(family, of).axes
+        assert len(panels) == 2
+        assert panels[0].get_ylabel().startswith(label)
     loose = SimpleNamespace(
         **{
             name: getattr(last, name)
@@ -788,3 +793,26 @@ def test_a_slider_is_read_from_its_range_number_and_scale():
     key, values = read_axis("excitation.velocity=1e-6:1e-2:3:log")
     assert key == "excitation.velocity"
     assert values == pytest.approx([1e-6, 1e-4, 1e-2], rel=1e-12)
+
+
+def test_files_and_grains_that_do_not_fit_a_command_are_rejected(
+    answer: Trajectory, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    run, dump = str(tmp_path / "run.nc"), str(tmp_path / "run.lammpstrj")
+    answer.save(run)
+    Path(dump).write_text("ITEM: TIMESTEP\n0\n")
+    for command, message in {
+        ("fit", dump): "is a LAMMPS dump: give its scene as well, --scene SCENE.toml",
+        ("fit", run, "--scene", str(scene)): "scene: is only for a LAMMPS dump, which",
+        ("fit", run, "--axis", "x"): "axis: is only for a LAMMPS dump and its scene",
+        ("fit", run, "--units", "si"): "units: is only for a LAMMPS dump and its scene",
+        ("fit", run, "--json", run): "is the input file: name another file",
+        ("export", run, "-o", "-", "--velocity", "1,wall"): (
+            "velocity: must be numbers of grains, with commas between (got 'wall')"
+        ),
+        ("export", run, "-o", "-", "--contact-force", "floor"): (
+            "contact-force: must be numbers of grains or wall, top, bottom, with commas"
+        ),
+    }.items():
+        assert main([*command]) == 2
+        assert message in " ".join(capsys.readouterr().err.split())

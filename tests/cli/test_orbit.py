@@ -68,12 +68,25 @@ def test_the_answer_to_a_drive_is_followed(tmp_path: Path, capsys: pytest.Captur
     assert found["orbit"]["displacement_m"] == pytest.approx(
         last.displacement.tolist(), abs=1e-10 * last.amplitude
     )
+
+
+def test_requests_without_one_goal_are_rejected(tmp_path: Path, capsys: pytest.CaptureFixture):
+    scene = tmp_path / "scene.toml"
+    chain = Chain(grains=2, bottom="wall", material="steel", diameter=1e-2, damping={"drag": 2000})
+    drive = Drive(amplitude=1e-9, frequency=1.2e4)
+    Scene(chain=chain, excitation=drive, duration=1e-3, samples=2).to_toml(scene)
+    follow = ("--follow", "drive.frequency=1.201e4")
+    goal = "orbit: needs a mode or a drive to follow, not both"
     for wrong, message in {
         ("--follow", "drive.frequency"): "--follow: must be a number and its last value",
         ("--follow", "drive.speed=1"): "parameter: must be period, a number of the drive",
-        ("--follow", "drive.frequency=1.3e4", "--of", "force:9"): "of: the contacts are numbered",
-        ("--mode", "1"): "orbit: needs a mode or a drive to follow",
-        (): "orbit: needs a mode or a drive to follow",
+        (*follow, "--of", "force:9"): "of: the contacts are numbered",
+        (): goal,
+        ("--mode", "1"): goal,
+        ("--energy", "1e-9"): goal,
+        ("--mode", "1", *follow): goal,
+        ("--energy", "1e-9", *follow): goal,
+        ("--mode", "1", "--energy", "1e-9", *follow): goal,
     }.items():
         assert main(["orbit", str(scene), *wrong]) == 2
         assert message in capsys.readouterr().err
