@@ -58,6 +58,9 @@ def export(arguments: argparse.Namespace) -> int:
         lambda: _places(arguments.velocity, "velocity"),
         lambda: _places(arguments.displacement, "displacement"),
     )
+    if arguments.above_rest and not force:
+        cure = "add --contact-force, or leave it out"
+        raise InputError.at("above-rest", f"is only for forces: {cure}")
     # Without a selection all recorded grains are exported.
     source: Trajectory | TraceTable = run
     if force or velocity or displacement or arguments.energies:

@@ -813,6 +813,9 @@ def test_files_and_grains_that_do_not_fit_a_command_are_rejected(
         ("export", run, "-o", "-", "--contact-force", "floor"): (
             "contact-force: must be numbers of grains or wall, top, bottom, with commas"
         ),
+        ("export", run, "-o", "-", "--velocity", "1", "--above-rest"): (
+            "above-rest: is only for forces: add --contact-force, or leave it out"
+        ),
     }.items():
         assert main([*command]) == 2
         assert message in " ".join(capsys.readouterr().err.split())
