@@ -706,28 +706,6 @@ def test_nan_and_infinity_become_null_in_json(tmp_path: Path):
 # --- saved runs
 
 
-def test_saved_runs_and_dumps_are_distinguished(
-    scene: Path, answer: Trajectory, capsys: pytest.CaptureFixture[str]
-):
-    file = scene.parent / "run.nc"
-    answer.save(file)
-    dump = scene.parent / "column.lammpstrj"
-    dump.write_text("ITEM: TIMESTEP\n0\n")
-    for words, key in (
-        (["fit", str(file), "--scene", str(scene)], "scene"),
-        (["fit", str(file), "--axis", "z"], "axis"),
-        (["fit", str(dump)], str(dump)),
-        (
-            ["report", str(scene.parent / "none.nc"), "--scene", str(scene)],
-            str(scene.parent / "none.nc"),
-        ),
-        (["sensitivity", str(dump), "--of", "momentum:3"], str(dump)),
-        (["fit", str(file), "--json", str(file)], str(file)),
-    ):
-        assert main(words) == 2
-        assert keys(capsys.readouterr()) == [key]
-
-
 def test_options_of_a_sensitivity_are_passed_on(scene: Path, monkeypatch: Any, capsys: Any):
     asked: list[Any] = []
     result = SimpleNamespace(table=lambda: "the table")
@@ -806,6 +784,11 @@ def test_files_and_grains_that_do_not_fit_a_command_are_rejected(
         ("fit", run, "--scene", str(scene)): "scene: is only for a LAMMPS dump, which",
         ("fit", run, "--axis", "x"): "axis: is only for a LAMMPS dump and its scene",
         ("fit", run, "--units", "si"): "units: is only for a LAMMPS dump and its scene",
+        ("report", f"{run}x", "--scene", str(scene)): f"error: {run}x: ",
+        ("sensitivity", dump, "--of", "momentum:3"): f"error: {dump}: ",
+        ("check",): "run: give either a dump or saved run, or --deck FOLDER",
+        ("check", run, "--deck", str(tmp_path)): "run: give either a dump or saved run",
+        ("check", "--deck", str(tmp_path), "--units", "si"): "units: is only for a LAMMPS dump",
         ("fit", run, "--json", run): "is the input file: name another file",
         ("export", run, "-o", "-", "--velocity", "1,wall"): (
             "velocity: must be numbers of grains, with commas between (got 'wall')"
