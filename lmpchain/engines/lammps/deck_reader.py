@@ -224,6 +224,18 @@ class _Script:
         (step, digits), *_ = kinds
         return step, steps, digits
 
+    def digits_of_all_frames(self) -> int:
+        """Return the digits of a dump whose runs are a loop; raise `InputError` if they change."""
+        digits = 0
+        begin = self.need("run").number
+        for line in self.lines:
+            if line.words[0] == "dump_modify":
+                if line.number > begin and self.digits(line) != digits:
+                    fault = "has another dump format than the first frame: use the same for all"
+                    raise self.refuse(line, fault)
+                digits = self.digits(line)
+        return digits
+
     def digits(self, line: _DeckLine) -> int:
         """Return the digits of the numbers in the dump."""
         match = FLOAT_FORMAT.fullmatch(line.words[-1])
@@ -266,19 +278,19 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     integrator = "kahan-li6" if composed else "verlet"
     script.need("timestep")
     output = script.need("dump", "out", "all", "custom")
-    format_ = script.need("dump_modify", "out")
+    script.need("dump_modify", "out")
     run = script.need("run")
     every = script.count("${every}", output)
     if composed:
         step = script.variable("dt")
         samples = script.count("${samples}", script.need("variable", "macro"))
-        digits = script.digits(format_)
+        digits = script.digits_of_all_frames()
     else:
         step, steps, digits = script.runs()
         samples = steps // every
     if not samples:
         raise script.refuse(run, f"ends before the first dump, after {every} steps")
-    gauge = float(grains.diameters[0]) if grains.densities.min() > HEAVIEST else 0.0
+    gauge = _gauge(grains, scene)
     recording: dict[str, Any] = {"duration": step * every * samples, "samples": samples + 1}
     if scene is None:
         chain = _chain(script, grains, gauge)
@@ -297,6 +309,16 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     _check_formulas(column, grains)
     _check_commands(script, column, integrator, step)
     return Deck(scene, LAGGED.name if lagged else integrator, step, gauge, digits)
+
+
+def _gauge(grains: _Grains, scene: Scene | None) -> float:
+    """Return the gauge diameter of a deck, m; 0 for physical diameters."""
+    diameter = float(grains.diameters[0])
+    if scene is None:
+        physical = grains.densities.min() <= HEAVIEST
+    else:
+        physical = np.allclose(scene.chain.diameters, diameter, SAME_NUMBER, 0.0)
+    return 0.0 if physical or np.ptp(grains.diameters) > 0 else diameter
 
 
 def _data_path(script: _Script) -> str:
@@ -395,9 +417,11 @@ def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
 
 def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
     """Return the chain that a deck describes."""
+    cure = "give its scene, --scene"
     if formula := script.find("bond_style") or script.find("fix", "ground"):
-        cure = "give its scene, --scene"
         raise script.refuse(formula, f"has a formula with numbers instead of parameters: {cure}")
+    if grains.diameters.size == 1:
+        raise InputError.at(str(grains.path), f"has a single grain and no contact: {cure}")
     masses = grains.masses
     d = grains.diameters
     model, stiffness, damping = _contacts(script, grains.types)
@@ -445,10 +469,11 @@ def _ends(script: _Script, diameters: Array, hertz: bool) -> dict[str, Any]:
 def _load(script: _Script, grains: _Grains, constant: float, exponent: float) -> float:
     """Return the load on the top of a deck's chain, N.
 
-    If grain 1 is driven or below a wall, no command contains the load. It then follows from the
+    If grain 1 is driven or below a wall, no command contains a load on it. It then follows from the
     overlap of the first contact at rest.
     """
-    if not (script.find("group", "driven") or script.find("fix", "top", "at_top")):
+    imposed = script.find("group", "driven") or script.find("fix", "top", "at_top")
+    if "load" in script.variables or not imposed:
         return script.variable("load")
     d = grains.diameters
     overlap = max(0.0, float((d[0] + d[1]) / 2 - (grains.rest[0] - grains.rest[1])))
@@ -516,7 +541,8 @@ def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
     """Return the damping that a deck describes."""
     drag = 0.0
     if line := script.find("fix", "drag", "mobile", "viscous"):
-        drag = script.value(script.argument(line, 4), line) / float(masses[0])
+        moving = masses[1:] if script.find("group", "driven") else masses
+        drag = script.value(script.argument(line, 4), line) / float(moving[0])
     elif line := script.find("variable", "drag", "atom"):
         force = script.argument(line, 3)
         drag = script.value(force.removesuffix("*mass*vz").removeprefix("-"), line)
@@ -600,7 +626,7 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
     if wrong or len(grains.header) != len(header) or grains.title != f"Atoms # {column.atoms}":
         fault = f"does not have the header of a column of {grains.rest.size} grains"
         raise InputError.at(str(grains.path), f"{fault}: write the deck again with lmpchain deck")
-    for key in ("types", "diameters"):
+    for key in ("types", "diameters", "densities"):
         values, ours = (np.asarray(getattr(part, key)) for part in (grains, column))
         if not np.allclose(values, ours, rtol=SAME_NUMBER, atol=0.0):
             worst = int(np.abs(values - ours).argmax()) + 1

@@ -28,57 +28,34 @@ SCENES: dict[str, tuple[Scene, dict[str, Any]]] = {
     "dimer": (small(material=["glass", "steel"] * 4, grains=8), {}),
 }
 TIMESTEP, RUN, DUMP = r"\ntimestep .*", r"\nrun  .*", r"\ndump_modify .*"
-# Each edit: deck, pattern, text, and whether the edited deck is accepted.
-EDITS: list[tuple[str, str, str, bool]] = [
-    ("struck", TIMESTEP, r"\g<0>\ntimestep 5e-8", True),
-    ("struck", TIMESTEP, r"\ntimestep 5e-8\g<0>", True),
-    ("struck", RUN, r"\g<0>\ntimestep 5e-8", True),
-    ("struck", RUN, r"\g<0>\ntimestep 5e-8\nrun 40", False),
-    ("struck", RUN, r"\g<0>\g<0>", True),
-    ("struck", RUN, "\nrun 130", True),
-    ("struck", RUN, "\nrun 60\nrun 140 upto", True),
-    ("struck", RUN, "\nrun 60\nrun 40 upto", False),
-    ("struck", RUN, "\nrun 1e2", False),
-    ("struck", RUN, "\nrun 100 every 10 NULL", False),
-    ("struck", RUN, "\nrun 80\nvelocity all set 0 0 1", False),
-    ("struck", r"\nthermo  .*", r"\nrun 40\g<0>", False),
-    ("struck", r"\ndump  .*", r"\nrun 40\g<0>", False),
-    ("struck", "\nunits", "\nvariable dt index 5e-8\nunits", True),
-    ("struck", r"\nvariable +dt .*", r"\g<0>\nvariable dt index 5e-8", True),
-    ("struck", r"\nvariable +dt .*", "\nvariable dt index 5e-8 1e-8", False),
-    ("struck", r"\nvariable +dt .*", "\nvariable dt index 1_0e-8", False),
-    ("struck", r"\nvariable +dt .*", "\nvariable dt equal 5e-8", False),
-    ("struck", r"\nvariable +every .*", "\nvariable every index 20", True),
-    ("struck", r"\nvariable +samples .*", r"\g<0>\nvariable samples index 2", True),
-    ("struck", r"\nvariable +v0 .*", "\nvariable v0 index 1e-3", True),
-    ("struck", r"\nvariable +v0 .*", r"\nvariable v0 index 1e-3\g<0>", True),
-    ("struck", "\nunits", "\nvariable v0 index 1e-3\nunits", True),
-    ("struck", r"group +struck id 1\b", "group struck id 3", True),
-    ("struck", DUMP, r"\g<0>\ndump_modify out format float %.4g", True),
-    ("struck", DUMP, r"\ndump_modify out format float %.4g\g<0>", True),
-    ("struck", RUN, r"\ndump_modify out format float %.9g\g<0>", True),
-    ("struck", r"\nthermo  .*", "\nthermo 0", True),
-    ("struck", r"hertz \S+", "hertz 2e10", False),
-    ("struck", "# time step, s", "# time step &", False),
-    ("struck", "# time step, s", "\f# time step", True),
-    ("gauge", TIMESTEP, r"\g<0>\ntimestep 2e-8", True),
-    ("composed", r"\nvariable +dt .*", "\nvariable dt index 5e-8", True),
-    ("composed", r"\nvariable +dt .*", r"\g<0>\nvariable dt index 5e-8", True),
-    ("composed", r"\nvariable +samples .*", "\nvariable samples index 3", True),
-    ("composed", r"\nrun  +0 .*", r"\g<0>\nrun 5", False),
-    ("driven", r"\nvariable +amplitude .*", "\nvariable amplitude index 2e-8", True),
-    ("driven", r"\nvariable +dt .*", "\nvariable dt index 5e-8", True),
-    ("driven", TIMESTEP, r"\g<0>\ntimestep 5e-8", False),
-    # Edits of the data file.
-    ("struck", r"\n3 0 0 -0.0 ", "\n3 0 0 1e-4 ", False),
-    ("struck", r"\n3 0 0 -0.0 ", "\n3 1e-4 0 0 ", False),
-    ("struck", r"\n3 0 0 -0.0 0 0 0", "\n3 0 0 0 0 9 0", False),
-    ("struck", r"(\n3 1 \S+ \S+) 0 0", r"\1 1e-5 0", False),
-    ("struck", r"\n3 1 ", "\n3 2 ", False),
-    ("struck", "1 atom types", "2 atom types", False),
-    ("struck", "25 atoms", "24 atoms", False),
-    ("dimer", r"\n3 1 ", "\n3 2 ", False),
-    ("struck", r"(\n[34] 1 \S+) 2426.0 ", r"\1 5000.0 ", False),
+# Each edit: deck, pattern, text.
+EDITS: list[tuple[str, str, str]] = [
+    ("struck", TIMESTEP, r"\g<0>\ntimestep 5e-8"),
+    ("struck", TIMESTEP, r"\ntimestep 5e-8\g<0>"),
+    ("struck", RUN, r"\g<0>\ntimestep 5e-8"),
+    ("struck", RUN, r"\g<0>\g<0>"),
+    ("struck", RUN, "\nrun 130"),
+    ("struck", RUN, "\nrun 60\nrun 140 upto"),
+    ("struck", "\nunits", "\nvariable dt index 5e-8\nunits"),
+    ("struck", r"\nvariable +dt .*", r"\g<0>\nvariable dt index 5e-8"),
+    ("struck", r"\nvariable +every .*", "\nvariable every index 20"),
+    ("struck", r"\nvariable +samples .*", r"\g<0>\nvariable samples index 2"),
+    ("struck", r"\nvariable +v0 .*", "\nvariable v0 index 1e-3"),
+    ("struck", r"\nvariable +v0 .*", r"\nvariable v0 index 1e-3\g<0>"),
+    ("struck", "\nunits", "\nvariable v0 index 1e-3\nunits"),
+    ("struck", r"group +struck id 1\b", "group struck id 3"),
+    ("struck", DUMP, r"\g<0>\ndump_modify out format float %.4g"),
+    ("struck", DUMP, r"\ndump_modify out format float %.4g\g<0>"),
+    ("struck", RUN, r"\ndump_modify out format float %.9g\g<0>"),
+    ("struck", r"\nthermo  .*", "\nthermo 0"),
+    ("composed", DUMP, r"\g<0>\ndump_modify out format float %.4g"),
+    ("struck", "# time step, s", "\f# time step"),
+    ("gauge", TIMESTEP, r"\g<0>\ntimestep 2e-8"),
+    ("composed", r"\nvariable +dt .*", "\nvariable dt index 5e-8"),
+    ("composed", r"\nvariable +dt .*", r"\g<0>\nvariable dt index 5e-8"),
+    ("composed", r"\nvariable +samples .*", "\nvariable samples index 3"),
+    ("driven", r"\nvariable +amplitude .*", "\nvariable amplitude index 2e-8"),
+    ("driven", r"\nvariable +dt .*", "\nvariable dt index 5e-8"),
 ]
 SPOILT = ["", "$", "&", "nan", "1e308", "-1", "0", "2.5", "x", "${dt}", "# ", "\f", "index", "é"]
 
@@ -125,20 +102,16 @@ def agree(folder: Path) -> None:
         assert np.abs(dumped[:, : expected.shape[1]] - expected).max() <= close
 
 
-@pytest.mark.parametrize(("name", "pattern", "text", "is_read"), thinned(EDITS, 5))
-def test_an_edited_deck_is_read_like_lammps_or_rejected(
-    name: str, pattern: str, text: str, is_read: bool, tmp_path: Path
+@pytest.mark.parametrize(("name", "pattern", "text"), thinned(EDITS, 6))
+def test_lammps_runs_an_edited_deck_as_it_is_read(
+    name: str, pattern: str, text: str, tmp_path: Path
 ):
+    """All of these edits are read, and others refused, in `test_deck_reader.py`."""
     scene, options = SCENES[name]
     write_deck(scene, tmp_path, step=STEP, **options)
     for path in (tmp_path / "in.column", tmp_path / "column.data"):
         path.write_text(re.sub(pattern, text, path.read_text(), count=1))
-    if is_read:
-        agree(tmp_path)
-        return
-    with pytest.raises(InputError) as refused:
-        read_deck(tmp_path)
-    assert str(refused.value).isprintable()
+    agree(tmp_path)
 
 
 @pytest.mark.parametrize(
