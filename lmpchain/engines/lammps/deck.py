@@ -302,8 +302,10 @@ ACCUMULATING = {"running", "window"}
 OUTPUTS = "output-{}"  # One folder for each start of LAMMPS in a run folder.
 TOKEN = re.compile(r"\"[^\"]*\"|'[^']*'|\S+")
 FILE_NAME = re.compile(r"[\w.*%+-]*\w[\w.*%+-]*", re.ASCII)
-# Names of the fixes, groups, regions and variables of the set-up.
+# Names of the computes, fixes, groups, regions and variables of the set-up.
 OURS = {
+    *("even", "odd", "of_even", "of_odd", "sum_even", "sum_odd", "ground", "own", "viscous"),
+    *("now_at", "side", "side_u", "side_v", "top_z", "wall_on", "wall_vz"),
     *("at_bottom", "at_top", "bottom", "drag", "drive", "driven", "mobile", "motion", "out"),
     *("press", "push", "pushed", "rest", "struck", "top", "weight"),
     *("amplitude", "cycles", "data", "drive_vz", "drive_z", "dt", "end", "envelope", "every"),

@@ -121,11 +121,15 @@ def test_a_resumed_run_has_the_same_bits():
     scene = struck(CHAINS["held"], 1e-3, 3e-5, 7)
     engine = Lammps("verlet", step=3e-8, diameter="physical")
     candidate = engine.propose(scene, 1e-3)
+    per_sample = candidate.steps.per_landing
+    assert per_sample > 160
     whole = simulate(scene, engine=engine)
     u, v = np.empty((2, 1, 7, 12))
     stepper = engine.stepper([scene], candidate, [candidate.steps], {})
-    for sample in range(1, 7):
-        stepper.fill(u, v, 0, sample, 10**6)
+    # Between samples, a few steps are made without reading the motion.
+    for steps in (140, 20, 30, 10, 10**6):
+        done = int(stepper.steps[0])
+        assert stepper.fill(u, v, 0, 6, steps) == min(steps, 6 * per_sample - done)
         state = stepper.state()
         stepper.close()
         # A new LAMMPS instance does not have the velocities of half a step before.

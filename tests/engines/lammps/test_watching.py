@@ -1,6 +1,7 @@
 """User commands in a run folder: they continue after every stop, or are rejected by name."""
 
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,15 @@ import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import struck
 
-from lmpchain import Damping, InputError, Stopped, resume, simulate
+from lmpchain import Damping, InputError, Law, Stopped, resume, simulate
 from lmpchain.engines import Lammps
+from lmpchain.engines.lammps import deck
+from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.stepper import LammpsStepper
 from lmpchain.engines.stepping import time_stepping as stepping_run
+from lmpchain.integrators.methods import VERLET
+
+TEMPLATES = Path(__file__).parents[3] / "templates"
 
 SCENE = struck(column(8, damping=Damping(viscoelastic=1e-8)), 1e-3, 2e-5, 41)
 INCLUDE = """compute   energy all ke   # with a comment
@@ -111,6 +117,82 @@ def test_commands_that_may_move_grains_are_rejected_by_name(
         simulate(SCENE, engine, folder=tmp_path / "run")
     assert str(refused.value).startswith("include: line 2 (")
     assert not (tmp_path / "run").exists()
+
+
+WATCHING = """
+# velocity all set 0 0 1
+compute   top_speed all reduce max vz # velocity
+compute_modify e dynamic/dof no
+dump      a all atom 5 a-*.dump
+dump      c all custom 5 &
+          c.dump id vz
+dump      i all image 5 i.%.png type type
+dump_modify c sort id
+fix       a all ave/chunk 1 1 5 c vz file chunk.txt
+fix       h all ave/histo 1 1 5 0 1 9 c_e mode vector ave one file histo.txt
+fix       p all print 5 'at ${my_time}' append said.txt
+group     upper id 1 2
+print     "${my_time} $(step)" file once.txt
+print     lost
+thermo    5
+thermo_modify line one
+thermo_style custom step ke
+variable  my_time equal time
+variable  squares atom vz^2
+variable  list index 1 2
+variable  text string "a b"
+variable  v vector [1,2]
+variable  f format my_time %g
+"""
+CHANGING = [
+    ('print "x', "quotes that are not closed"),
+    ("print 'x", "quotes that are not closed"),
+    ('print """x"""', "triple quotes"),
+    *((f"compute c all {style}", f"the compute {style}") for style in (
+        "msd/chunk", "vacf", "displace/atom", "fep", "born/matrix"
+    )),
+    ("compute $x all ke", r"the name \$x"),
+    ("fix f all", "has the fix "),
+    ("fix a all ave/time 1 1 5 c_e ave window 3", "use ave one"),
+    ("variable z file numbers.txt", "from a file"),
+    ("variable z getenv HOME", "another program"),
+    ("variable z internal 0", "the state at the start"),
+    *((f"dump d all custom 5 {name} id", "give a plain file name") for name in (
+        "d.bz2", "d.lz4", "d.lzma", "d.xz", "d.zst", "..", "~/d", "a/d", '"a d"'
+    )),
+    ("dump d all custom 5 ${name} id", "contains the variable"),
+    ("print $x", "contains the variable"),
+    ("print x file a&b", "give a plain file name"),
+]  # fmt: skip
+
+
+def test_only_commands_that_watch_are_allowed():
+    assert deck.find_fault(WATCHING) == ""
+    lines = deck.move_outputs(WATCHING, Path("/at"))
+    files = ["a-*.dump", "c.dump", "i.%.png", "chunk.txt", "histo.txt", "said.txt", "once.txt"]
+    assert re.findall(r'"/at/"?(.*?)"', lines.replace("'", '"')) == files
+    assert lines.count("/at/") == len(files)
+    for command, reason in CHANGING:
+        assert re.search(f"line 2 .* {reason}", deck.find_fault(f"thermo 5\n{command}\n"))
+
+
+def test_no_name_of_the_set_up_is_allowed():
+    """A second definition of a variable would replace a force of the ground or of viscosity."""
+    law = Law("k*max(o, 0)**1.5*(1 + c*o)", k=1e9, c=1e4)
+    chain = column(8, damping=SCENE.chain.damping, law=law, top="wall")
+    made = LammpsColumn(SCENE.replace(chain=chain), 0.0)
+    text = (TEMPLATES / "setup.column").read_text() + deck.script(made, 1e-7, VERLET)
+    commands = re.findall(r"\n(compute|fix|group|region|variable) +(\w+) ", text)
+    names = {name for _, name in commands}
+    assert {"ground", "now_at", "viscous", "sum_odd", "of_even", "at_top", "wall_z", "v0"} < names
+    for name in names - {"dump"}:
+        for kind, rest in (
+            ("compute", "all ke"),
+            ("fix", "all print 5 x"),
+            ("group", "id 1"),
+            ("variable", "equal 1"),
+        ):
+            assert f"has the name {name}, which" in deck.find_fault(f"{kind} {name} {rest}")
 
 
 def test_the_first_piece_of_work_is_sized_for_lammps(monkeypatch: pytest.MonkeyPatch):
