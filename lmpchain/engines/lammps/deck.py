@@ -373,11 +373,13 @@ def _fault(words: list[str]) -> str:
     if any(word.count('"') % 2 or word.count("'") % 2 or '""' in word for word in words):
         return "has quotes that are not closed, or triple quotes"
     checks = {"compute": _compute_fault, "dump": _dump_fault, "fix": _fix_fault}
-    checks |= {"variable": _variable_fault}
-    fault = checks[command](words[1:]) if command in checks else ""
-    if command == "thermo_modify" and "lost" in words:
+    checks |= {"group": _group_fault, "variable": _variable_fault}
+    # LAMMPS removes quotes.
+    bare = [word.strip("\"'") for word in words]
+    fault = checks[command](bare[1:]) if command in checks else ""
+    if command == "thermo_modify" and any(word.startswith("lost") for word in bare):
         fault = "changes the treatment of lost grains"
-    return _name_fault(words) or fault or _file_fault(words)
+    return _name_fault(bare) or fault or _file_fault(words)
 
 
 def _name_fault(words: list[str]) -> str:
@@ -393,6 +395,8 @@ def _compute_fault(arguments: list[str]) -> str:
     for style in arguments[2:3]:
         if any(part in style for part in REFERRING):
             return f"has the compute {style}, which refers to the state in which it was defined"
+    if "once" in arguments:
+        return "has the word once, which refers to the state at the start"
     return ""
 
 
@@ -410,8 +414,15 @@ def _fix_fault(arguments: list[str]) -> str:
     return ""
 
 
+def _group_fault(arguments: list[str]) -> str:
+    if "".join(arguments[1:2]) in ("region", "variable"):
+        return "selects grains by the state at the start"
+    return ""
+
+
 def _variable_fault(arguments: list[str]) -> str:
-    if "".join(arguments[1:2]) in VARIABLES and "$(" not in " ".join(arguments):
+    # LAMMPS replaces ${name} by the value at the definition.
+    if "".join(arguments[1:2]) in VARIABLES and "$" not in " ".join(arguments):
         return ""
     return "sets a variable from a file, another program, or the state at the start"
 

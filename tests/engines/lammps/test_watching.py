@@ -132,6 +132,7 @@ fix       a all ave/chunk 1 1 5 c vz file chunk.txt
 fix       h all ave/histo 1 1 5 0 1 9 c_e mode vector ave one file histo.txt
 fix       p all print 5 'at ${my_time}' append said.txt
 group     upper id 1 2
+group     fast dynamic all var quick every 5
 print     "${my_time} $(step)" file once.txt
 print     lost
 thermo    5
@@ -153,6 +154,17 @@ CHANGING = [
     )),
     ("compute $x all ke", r"the name \$x"),
     ("fix f all", "has the fix "),
+    # LAMMPS removes quotes.
+    ('variable "ground" atom 0', "the name ground"),
+    ("fix 'motion' all print 5 hello", "the name motion"),
+    ('fix a all ave/time 1 1 5 c_e ave "running"', "use ave one"),
+    ('thermo_modify "lost" ignore', "lost grains"),
+    ("thermo_modify lost/bond ignore", "lost grains"),
+    # Values at the definition would be others after a stop.
+    ("variable z equal 2*${twice}", "the state at the start"),
+    ("group fast variable quick", "the state at the start"),
+    ("group fast region above", "the state at the start"),
+    ("compute c all chunk/atom v_quick ids once", "the state at the start"),
     ("fix a all ave/time 1 1 5 c_e ave window 3", "use ave one"),
     ("variable z file numbers.txt", "from a file"),
     ("variable z getenv HOME", "another program"),
