@@ -190,6 +190,45 @@ def test_a_deck_is_written_for_the_tolerance_that_can_be_met(tmp_path: Path):
     assert not (tmp_path / "c").exists()
 
 
+def test_a_deck_has_as_many_steps_as_lammps_counts_in_a_run(tmp_path: Path):
+    most = 2**31 - 1
+    pair = small(grains=2)
+    write_deck(pair.replace(duration=most * 1e-9, samples=2), tmp_path / "most", step=1e-9)
+    assert read_deck(tmp_path / "most").scene.samples == 2
+    for count, samples, options, message in (
+        (
+            most + 1,
+            3,
+            {},
+            f"duration: {most + 1} steps are more than LAMMPS counts in a run, {most}",
+        ),
+        (
+            most + 1,
+            2,
+            {},
+            f"samples: must be more: {most + 1} steps per sample exceed the limit of",
+        ),
+        # Each step of this method of Kahan and Li is nine steps of LAMMPS.
+        (4e8, 2, {"integrator": "kahan-li6"}, "duration: 3600000000 steps are more than LAMMPS"),
+    ):
+        long = pair.replace(duration=count * 1e-9, samples=samples)
+        with pytest.raises(InputError, match=f"^{message}"):
+            write_deck(long, tmp_path / "more", step=1e-9, **options)
+        assert not (tmp_path / "more" / "in.column").exists()
+
+
+def test_a_contact_that_grain_types_cannot_express_is_named():
+    constants = [1e9, 1e9, 2e9, *[1e9] * 21]
+    with pytest.raises(
+        InputError,
+        match=r"contact 3 differs from those above it, and 1 grain type.* use pair_style granular",
+    ):
+        simulate(
+            small(contact_constants=constants, exponent=1.5),
+            Lammps("verlet", pair_style="gran/hertz/history"),
+        )
+
+
 def test_rounding_that_exceeds_the_tolerance():
     scene = paper("weak", 3)
     with pytest.raises(ToleranceNotMet, match="use the gauge diameter, with an error of"):

@@ -412,3 +412,12 @@ def test_an_edited_deck_is_not_overwritten(tmp_path):
     path.write_text("# a deck of another origin")
     with pytest.raises(InputError, match="not written by lmpchain"):
         write_deck(small(), tmp_path, step=1e-7)
+    write_deck(small(), tmp_path, step=1e-7, overwrite=True)
+    assert path.read_text() != edited
+    for name in ("column.data", "column.lammpstrj", "log.lammps"):
+        foreign = tmp_path / f"with {name}" / name
+        foreign.parent.mkdir()
+        foreign.write_text("my own")
+        with pytest.raises(InputError, match=name.replace(".", r"\.")):
+            write_deck(small(), foreign.parent, step=1e-7)
+        assert foreign.read_text() == "my own"

@@ -128,9 +128,8 @@ def test_drifts_of_a_splitting_end_at_the_wall(name: str):
     check_agreement(scene, "rkn6", 2 * step)
 
 
-@pytest.mark.parametrize("name", ["toda + moving wall", BOTH])
-def test_a_wall_follows_a_curve_through_points(name: str):
-    scene, step = case(name)
+def test_a_wall_follows_a_curve_through_points():
+    scene, step = case(BOTH)
     time = np.linspace(0.0, 0.7 * scene.duration, 15)
     curve = scene.excitation.waveform.at(time)
     drive = Drive(grain=0, times=time, displacement=curve - curve[0])

@@ -28,8 +28,13 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Lammps
+from lmpchain.engines.lammps import communicators
 from lmpchain.engines.lammps import engine as lammps_engine
-from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
+from lmpchain.engines.lammps.column import LammpsColumn
+from lmpchain.engines.lammps.stepper import LammpsStepper
+from lmpchain.engines.lammps.subprocess_ranks import Communicator, SubprocessRanks
+from lmpchain.integrators.methods import VERLET
+from lmpchain.integrators.steps import Steps
 from lmpchain.util import mpi
 
 MPIEXEC = mpi.launcher()
@@ -62,6 +67,56 @@ def same(one: Trajectory, other: Trajectory) -> bool:
     return np.array_equal(one.displacement, other.displacement) and np.array_equal(
         one.velocity, other.velocity
     )
+
+
+def motion(communicator: Communicator) -> list[np.ndarray]:
+    """Return the samples and the last state of a short run on these ranks."""
+    excitation = Drive(amplitude=1e-7, frequency=2e4)
+    made = LammpsColumn(scene_of(LOADED, excitation, 1e-6, 3), 0.0)
+    stepper = LammpsStepper(made, VERLET, Steps(5, 1, 1e-7), {}, communicator)
+    u, v = np.zeros((2, 1, 3, 30))
+    assert stepper.fill(u, v, 0, 2, 100) == 10
+    assert stepper.ranks == communicator.ranks
+    return [u, v, *stepper.state().values()]
+
+
+def test_two_ranks_give_the_bits_of_one_and_report_errors():
+    alone = communicators.Serial("none")
+    expected = motion(alone)
+    alone.close()
+    ranks = SubprocessRanks(2, "none")
+    try:
+        with pytest.raises(RunFailed, match=r"^LAMMPS stopped: ERROR: Unknown command: nonsense"):
+            ranks.ask("commands", "nonsense")
+        with pytest.raises(EngineUnavailable, match="no PIZZA package"):
+            ranks.ask("require", ("PIZZA",))
+        assert ranks.ask("commands", "units si") == [None, None]
+        for one, other in zip(motion(ranks), expected, strict=True):
+            assert np.array_equal(one, other)
+        assert np.abs(expected[1]).max() > 0
+        assert len(set(ranks.pids)) == 2
+        os.kill(ranks.pids[1], signal.SIGKILL)
+        died = r"a rank of LAMMPS died, and all 2 ranks with it: .*EXIT CODE: 9"
+        with pytest.raises(EngineUnavailable, match=died):
+            ranks.ask("share")
+    finally:
+        ranks.close()
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in ranks.pids))
+
+
+def test_ranks_end_with_their_connection():
+    ranks = SubprocessRanks(2, "none")
+    ranks.close()
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in ranks.pids))
+
+
+def test_a_launcher_that_fails_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    fake = tmp_path / "mpiexec"
+    fake.write_text("#!/bin/sh\necho no such host >&2\nexit 3\n")
+    fake.chmod(0o755)
+    monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
+    with pytest.raises(EngineUnavailable, match="the ranks do not start: no such host"):
+        simulate(MIDDLE, "lammps", ranks=2)
 
 
 INTEGRATORS = ("verlet", "kahan-li6", "rkn6")
@@ -328,17 +383,6 @@ def test_an_error_on_one_rank_ends_all_ranks_with_its_message(tmp_path):
 
 
 @pytest.mark.slow
-def test_lammps_errors_are_reported_as_with_one_rank():
-    ranks = SubprocessRanks(2, "none")
-    try:
-        with pytest.raises(RunFailed, match="Unknown command: nonsense"):
-            ranks.ask("commands", "nonsense")
-        assert ranks.ask("commands", "units si") == [None, None], "the ranks are still there"
-    finally:
-        ranks.close()
-
-
-@pytest.mark.slow
 def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):
     MIDDLE.to_toml(tmp_path / "scene.toml")
     words = ["run", str(tmp_path / "scene.toml"), "--engine", "lammps"]
@@ -357,7 +401,4 @@ def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):
     fake.chmod(0o755)
     monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
     with pytest.raises(EngineUnavailable, match="cannot communicate"):
-        simulate(MIDDLE, "lammps", ranks=2)
-    fake.write_text("#!/bin/sh\necho no such host >&2\nexit 3\n")
-    with pytest.raises(EngineUnavailable, match="the ranks do not start: no such host"):
         simulate(MIDDLE, "lammps", ranks=2)
