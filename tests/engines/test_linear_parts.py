@@ -71,7 +71,7 @@ def test_rounding_of_linear_solutions():
     scene = struck(LOADED, 1e-9, 1e4 / EDGE, 2)
     series = Chebyshev().round_off(scene)
     modes = Modes().round_off(scene)
-    assert 1e4 * EPSILON < series < 1.1e4 * EPSILON
+    assert series == pytest.approx(10_010 * EPSILON, rel=1e-9)
     assert modes - series == pytest.approx(28 * EPSILON, rel=0.01)
     burst = Force(grain=1, amplitude=1e-8, frequency=0.4 * HZ, cycles=2.6)
     long = scene.replace(excitation=burst)
@@ -83,6 +83,16 @@ def test_rounding_of_linear_solutions():
     begun = 0.4 * EDGE / 2 / 2.6 * early.duration
     assert begun < 1
     assert still == pytest.approx(4 * extra, rel=0.01)
+    # The sines of this burst cancel to the share `begun`**2 of their rounding error.
+    highest = 7 * burst.waveform.fastest / EDGE
+    assert extra == pytest.approx(40 * EPSILON / begun**2 * (1 + highest), rel=0.01)
+    damped = LOADED.replace(damping={"viscoelastic": 1e-3 / EDGE})
+    tone = long.replace(chain=damped, excitation=Force(amplitude=1e-8, frequency=0.01 * HZ))
+    slow = Modes().round_off(tone) - modes
+    assert slow == pytest.approx(100 * series, rel=1e-6)
+    brief = tone.replace(duration=0.1 / EDGE)
+    slow = Modes().round_off(brief) - 28 * EPSILON - 10.1 * EPSILON
+    assert slow == pytest.approx(100 * 1e3 * 10.1 * EPSILON, rel=1e-6)
 
 
 def test_costs_of_linear_solutions_grow_with_their_work():
@@ -109,6 +119,34 @@ def test_costs_of_linear_solutions_grow_with_their_work():
         series, 4000, duration=1e-1
     ) == pytest.approx(2, rel=0.2)
     assert seconds(series, 4000, duration=1e-1) > seconds(series, 2000, duration=1e-1)
+
+
+@pytest.mark.parametrize(
+    ("radians", "samples", "within"),
+    # The samples resolve every oscillation, or evaluations at random distances are added, or long
+    # series of polynomials reach from one evaluation to the next.
+    [(90.0, 101, 0.05), (900.0, 11, 0.3), (30_000.0, 3, 0.1)],
+)
+def test_the_expected_time_of_linear_solutions_is_that_of_their_work(
+    radians: float, samples: int, within: float
+) -> None:
+    """The expected number of polynomials is the number that a run computes."""
+    chain = column(60, gravity=0.0, top_load=1e-3)
+    scene = struck(chain, 1e-12, radians / chain.band_edge, samples)
+    evaluations = samples + (0 if samples > 100 else model_error.evaluations(scene))
+    for engine in (Chebyshev(), Modes()):
+        run = engine.start([scene], engine.propose(scene, 1e-6))
+        for _ in run.blocks():
+            pass
+        work = run.cost().force_evaluations
+        if engine.name == "modes":
+            expected = 5.5e-11 * 60**3 + 6e-8 * 60 * evaluations
+            assert work == 59
+        else:
+            grains = min(60, 30 + radians / 4)
+            expected = 7e-10 * work * (grains + 100) + 1.3e-8 * evaluations * 60
+        found = engine.propose(scene, 1e-6).cost_s - engine.start_up_s
+        assert found == pytest.approx(expected, rel=within if engine.name == "chebyshev" else 1e-9)
 
 
 # --- waves in resonance
