@@ -4,7 +4,9 @@ When the next one is made, with which step, what all have cost, and why there is
 """
 
 import math
+from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +16,11 @@ from helpers.taylor_series import reference
 from lmpchain import Chain, Impulse, RunFailed, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Native, step_control
 from lmpchain.engines.base import Engine, ErrorBudget, Proposal, Run
+from lmpchain.engines.cost_model import TooLong, in_words, is_long
+from lmpchain.engines.cost_model import budget as time_budget
 from lmpchain.engines.step_control import (
     Attempt,
+    Outcome,
     first_attempt,
     next_attempt,
     solve_to_tolerance,
@@ -25,6 +30,7 @@ from lmpchain.trajectory.record import Cost
 
 SCENE = smooth(samples=5)
 STEP = 1e-7
+TOLERANCE = 1e-6
 PROPOSAL = Proposal("native", 1, Steps(10, 1, STEP), 8, 0.0, 1e-6, 1e-3, integrator="rkn6")
 COST = Cost(1.0, 0.5, 0.25, 40, 280, 8, "rkn6", STEP, 1)
 
@@ -314,3 +320,218 @@ def test_a_refusal_of_the_engine_is_recorded_with_the_attempt():
     assert attempt.tolerance < 1e-13
     assert "round-off alone" in attempt.refusal
     assert (attempt.proposal.engine, attempt.number) == ("native", 1)
+
+
+# --- early ends, unpredictable scenes and long work
+
+
+class Judged(ScriptedRun):
+    """A run that is judged once, before its end."""
+
+    def __init__(self, error: Any, early: ErrorBudget | None):
+        super().__init__(error, [0.0], 1)
+        self.early = early
+        self.complete = False
+
+    def blocks(self) -> Iterator[Any]:
+        """Let step control judge the run."""
+        if self.early is not None:
+            self.judge(self)
+        self.complete = True
+        yield from super().blocks()
+
+    def errors(self) -> list[ErrorBudget]:
+        """Return the error so far, or at the end."""
+        return [self.error if self.complete or self.early is None else self.early]
+
+    def outlook(self) -> list[ErrorBudget]:
+        """Return an error that has grown by ten."""
+        (error,) = self.errors()
+        return [error._replace(truncation=10 * error.truncation)]
+
+
+class Watched(Scripted):
+    """An engine whose runs have a first and a final error."""
+
+    def start(self, scenes: Any, candidate: Any, state: Any = None) -> Judged:
+        """Start the next run of the script."""
+        self.steps.append(candidate.step)
+        early, final = self.errors.pop(0)
+        return Judged(final, early)
+
+
+def settle(engine: Watched, attempt: Attempt | None = None, patient: bool = False) -> Outcome:
+    return solve_to_tolerance(
+        engine,
+        [SCENE],
+        attempt or Attempt(PROPOSAL, TOLERANCE),
+        lambda run: list(run.blocks()),
+        patient=patient,
+    )
+
+
+def quiet(truncation: float) -> ErrorBudget:
+    """Return an error without amplified rounding."""
+    return ErrorBudget(truncation, 0.0, 6.0)
+
+
+def test_a_run_with_more_than_twice_the_error_ends_early() -> None:
+    for part, attempts in ((1.9, 1), (2.1, 2)):
+        script = [(quiet(part * TOLERANCE), quiet(1e-7)), (None, quiet(1e-8))]
+        engine = Watched(script, [0.0])
+        outcome = settle(engine)
+        assert len(engine.steps) == attempts
+        # The error of the run that has ended early is unknown.
+        assert outcome.attempt.truncations == (math.inf,) * (attempts - 1)
+        assert outcome.error.truncation == (1e-7 if attempts == 1 else 1e-8)
+
+
+def test_the_last_attempt_is_complete_even_if_it_misses_its_tolerance() -> None:
+    engine = Watched([(quiet(1e-3), quiet(1e-2))], [0.0])
+    engine.last = True
+    outcome = settle(engine)
+    assert "the error is estimated at 0.01, above the tolerance" in outcome.missed
+    # An attempt that repeats the best one is not judged.
+    engine = Watched([(quiet(1e-3), quiet(1e-4))], [0.0])
+    repeated = Attempt(PROPOSAL, TOLERANCE, repeats=True)
+    outcome = settle(engine, repeated)
+    assert (len(engine.steps), outcome.error.truncation) == (1, 1e-4)
+    # Nor is a run with a given step.
+    engine = Watched([(quiet(1e-3), quiet(1e-4))], [0.0])
+    outcome = settle(engine, Attempt(PROPOSAL._replace(fixed=True), TOLERANCE))
+    assert (len(engine.steps), outcome.missed, outcome.error.truncation) == (1, "", 1e-4)
+
+
+def test_an_unpredictable_scene_ends_at_its_horizon() -> None:
+    """A quarter of the tolerance is left for amplified rounding, unless other steps help."""
+    amplified = TOLERANCE * np.array([0.0, 0.2, 0.26, 3.0, 9.0])
+    early = ErrorBudget(1e-9, 9e-6, 6.0, amplified=amplified)
+    engine = Watched([(early, quiet(1e-8))], [0.0])
+    engine.last = True
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off, which may exceed") as missed:
+        settle(engine)
+    assert missed.value.known_until == SCENE.time[2]
+    assert "the error is estimated at 9e-06, above the tolerance of 1e-06" in missed.value.reason
+    # A search for the best answer continues.
+    engine = Watched([(early, early)], [0.0])
+    engine.last = True
+    assert settle(engine, patient=True).known_until == SCENE.time[2]
+    # Amplified rounding below the tolerance is no horizon.
+    fine = early._replace(roundoff=0.0, amplified=TOLERANCE * np.array([0, 0.2, 0.26, 0.9, 1.0]))
+    engine = Watched([(fine, quiet(1e-8))], [0.0])
+    assert settle(engine).missed == ""
+    # If shorter steps help, another attempt is made.
+    engine = Watched([(early._replace(truncation=1e-4), None), (None, quiet(1e-8))], [0.0])
+    assert len(settle(engine).attempt.truncations) == 1
+
+
+def test_a_given_step_is_unpredictable_if_rounding_becomes_visible() -> None:
+    for largest, known in ((0.11, SCENE.time[3]), (0.09, math.inf)):
+        amplified = largest * np.array([0.0, 1e-3, 0.2, 0.5, 1.0])
+        error = ErrorBudget(1e-9, 1e-3, 6.0, amplified=amplified)
+        engine = Watched([(None, error)], [0.0])
+        outcome = settle(engine, Attempt(PROPOSAL._replace(fixed=True), TOLERANCE))
+        assert (outcome.known_until, outcome.missed) == (known, "")
+
+
+def test_a_part_up_to_the_horizon_is_halved_if_it_needs_many_attempts() -> None:
+    attempt = Attempt(PROPOSAL, TOLERANCE, refusal="it is chaotic", known_until=1e-5)
+    misses = [(None, quiet(x)) for x in (1e-3, 1e-4, 1e-5)]
+    # The third attempt that misses its tolerance is the last.
+    engine = Watched([*misses, (None, quiet(1e-8))], [0.0])
+    with pytest.raises(ToleranceNotMet, match="it is chaotic") as missed:
+        settle(engine, attempt)
+    assert (missed.value.known_until, len(engine.steps)) == (5e-6, 3)
+    engine = Watched([*misses[:2], (None, quiet(1e-8))], [0.0])
+    outcome = settle(engine, attempt)
+    assert (outcome.missed, outcome.known_until) == ("it is chaotic", 1e-5)
+    engine = Watched([*misses, (None, quiet(1e-8))], [0.0])
+    assert settle(engine).missed == ""
+
+
+def test_commands_of_the_user_are_named_if_a_run_fails() -> None:
+    engine = Watched([(None, quiet(1e-2))], [0.0])
+    engine.last, engine.suspect = True, "your commands may change the motion"
+    assert settle(engine).missed.startswith("your commands may change the motion; the error is")
+    engine = Watched([(None, None)], [0.0])
+    engine.suspect = "your commands may change the motion"
+    with pytest.raises(RunFailed, match="your commands may change the motion; it broke down"):
+        settle(engine, Attempt(PROPOSAL._replace(fixed=True), TOLERANCE))
+
+
+def test_an_attempt_is_repeated_unless_rounding_is_the_limit() -> None:
+    better = PROPOSAL.with_steps(PROPOSAL.steps.shorten(20))
+    attempt = Attempt(better, TOLERANCE, truncations=(1e-4,), best=(1e-4, PROPOSAL))
+    engine = Scripted([], [0.0])
+    engine.last = True
+    following, missed = next_attempt(engine, SCENE, attempt, budget(1e-3, 0.9e-6))
+    assert following is not None
+    assert (following.proposal, following.repeats, missed) == (PROPOSAL, True, "")
+    assert next_attempt(engine, SCENE, attempt, budget(1e-3, 1.1e-6))[0] is None
+    # The present attempt is the best one, or it is not complete.
+    assert next_attempt(engine, SCENE, attempt, budget(1e-5, 0.0))[0] is None
+    assert next_attempt(engine, SCENE, attempt, budget(1e-3, 0.0), ended=False)[0] is None
+    # A repeated attempt is the last.
+    again = following._replace(proposal=PROPOSAL)
+    assert next_attempt(engine, SCENE, again, budget(1e-4))[0] is None
+    assert next_attempt(engine, SCENE, again, budget(1e-7)) == (None, "")
+
+
+def test_the_time_of_compilation_belongs_to_no_attempt() -> None:
+    engine = Watched([(None, quiet(1e-8))], [0.0])
+    attempt = Attempt(PROPOSAL, TOLERANCE, planned_s=3.0, spent_s=5.0, compiled_s=0.25)
+    cost = settle(engine, attempt).cost
+    assert cost.setup_s == COST.setup_s + 3.0
+    assert cost.estimate_s == COST.estimate_s + 5.0
+    assert cost.compile_s == pytest.approx(0.25, abs=1e-9)
+
+
+def test_long_attempts_are_refused_within_a_budget_of_time() -> None:
+    """The time of earlier attempts counts; the message names the run."""
+    assert not is_long(29.0)
+    assert is_long(31.0)
+    script = [(None, quiet(1e-8))] * 4
+    for spent_s, fixed, words in (
+        (9.0, False, "for a tolerance of 1e-06"),
+        (9.0, True, "of the given length"),
+        (6.0, False, ""),
+    ):
+        proposal = PROPOSAL._replace(cost_s=3.0, fixed=fixed)
+        attempt = Attempt(proposal, TOLERANCE, spent_s=spent_s)
+        engine = Watched(script, [0.0])
+        with time_budget(10.0):
+            if not words:
+                assert settle(engine, attempt).missed == ""
+                continue
+            steps = PROPOSAL.steps.total(SCENE.intervals)
+            work = f"the run by native with {steps} steps of rkn6 {words} would take about 12 s"
+            with pytest.raises(TooLong, match=work):
+                settle(engine, attempt)
+    exact = Attempt(PROPOSAL._replace(integrator=""), TOLERANCE)
+    assert exact.work(5) == "the run by native for a tolerance of 1e-06"
+
+
+def test_times_in_words() -> None:
+    """The unit changes where two of the larger unit are reached."""
+    assert [in_words(x) for x in (0.034, 9.94, 119, 121, 7100, 7300, 172_000, 173_000, 1e7)] == [
+        "0.034 s",
+        "9.9 s",
+        "119 s",
+        "2 minutes",
+        "118 minutes",
+        "2 hours",
+        "48 hours",
+        "2 days",
+        "116 days",
+    ]
+
+
+def test_proposals_with_other_steps_cost_in_proportion() -> None:
+    proposal = PROPOSAL._replace(steps=Steps(10, 4, STEP), cost_s=2.0)
+    assert proposal.with_steps(Steps(15, 1, STEP)).cost_s == pytest.approx(12.0, rel=1e-12)
+    assert (proposal.price_s, proposal._replace(kept=True).price_s) == (math.inf, 2.0)
+    assert proposal.possible
+    assert not proposal._replace(active_grains=0).possible
+    assert proposal._replace(choices={"a": "x", "b": 0.5}).record() == {"a": "x", "b": "0.5"}
+    table = proposal._replace(active_grains=0, model_error=math.nan).to_json()
+    assert (table["active_grains"], table["model_error"], table["cost_s"]) == (None, None, 2.0)
