@@ -7,19 +7,31 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_chains import column
+from helpers.example_chains import column, random_column
 from helpers.example_scenes import scene_of, smooth, struck
 
-from lmpchain import Drive, Impulse, Scene
+from lmpchain import Drive, Impulse, Scene, simulate
 from lmpchain.engines import Native
 from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.stepping.monitor import place_looks
-from lmpchain.engines.stepping.rounding import free_flights, reduced_loss
+from lmpchain.engines.stepping.rounding import (
+    amplify_rounding,
+    could_grow,
+    count_digits,
+    free_flights,
+    grow_digit,
+    perturb,
+    reduced_loss,
+    repeat_rounding,
+    separate,
+)
 from lmpchain.engines.stepping.time_stepping import SteppingRun
 from lmpchain.integrators.methods import METHODS
 from lmpchain.util.arrays import EPSILON
 
 LOOSE = struck(column(12), 1e-2, 1e-4, 101)
+# Contacts open again and again, which amplifies rounding by about 1e6.
+CHAOTIC = struck(random_column(6, 2, 0.3, top="wall"), 0.1, 4e-4, 21)
 
 
 def finished(engine: Native, *scenes: Scene, tolerance: float = 1e-6) -> SteppingRun:
@@ -152,10 +164,13 @@ def test_an_error_is_extrapolated_to_the_end_with_its_power_of_time(power: float
     grown[101:] = 0.0
     distances = np.zeros((2, 201, 1, 2))
     distances[0, :, 0, 1] = grown
-    # The other field is slower, and hardly grows.
+    # The other field has a smaller error, which does not grow.
     distances[0, :, 0, 0] = 0.1 * grown.max()
-    run = given(run, distances, (1.0, 1.0), sample=100)
+    distances[1] = distances[0] * 2
+    scale = np.array([1e-3, 8.0])
+    run = given(run, distances * scale, scale, sample=100)
     (now,), (then,) = run.errors(), run.outlook()
+    assert now.truncation == pytest.approx(2 * grown.max(), rel=1e-9)
     seen = {20.0: 12.0, -2.0: 0.0}.get(power, power)
     assert then.truncation == pytest.approx(now.truncation * 2**seen, rel=1e-9)
     assert (then.roundoff, then.order) == (now.roundoff, now.order)
@@ -218,3 +233,113 @@ def test_a_run_is_judged_at_times_that_grow_by_a_tenth() -> None:
     assert looks == sorted(int(100_000 * x) // 10 * 10 for x in fractions)
     # A sample at which not all runs land is none, nor is the start.
     assert place_looks(0.03, 8, 4) == {4}
+
+
+GIVEN = Native("rkn6", step=CHAOTIC.duration / 2000, adaptive=False)
+EVALUATIONS = 2000 * METHODS["rkn6"].evaluations
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "truncation", "how"),
+    # The bound by a random walk times growth is about 4e-7, and runs one ulp apart differ by 7e-10.
+    [
+        (math.inf, 0.0, "repeated"),
+        (math.inf, 1e-6, "bound"),
+        (math.inf, 0.1, "no"),
+        (1e-8, 0.0, "repeated"),
+        # The tolerance is met anyway, shorter steps follow anyway, or rounding is hopeless.
+        (1e-6, 0.0, "bound"),
+        (1e-6, 0.9, "repeated"),
+        (1e-6, 1.1, "repeated"),
+        (1e-6, 2.1, "bound"),
+        (1e-10, 0.0, "bound"),
+    ],
+)
+def test_amplified_rounding_is_measured_as_well_as_it_matters(
+    tolerance: float, truncation: float, how: str
+) -> None:
+    bound = amplify_rounding(CHAOTIC, EVALUATIONS)
+    assert 1e-7 < bound.max() < 1e-6
+    assert 0.01 < could_grow(CHAOTIC, EVALUATIONS) < 0.1
+    if tolerance == 1e-6:
+        # The truncation error is given in units of the bound.
+        truncation *= bound.max()
+        tolerance = 1.2 * bound.max() if truncation else tolerance
+    proposal = GIVEN.propose(CHAOTIC, 1e-6)._replace(tolerance=tolerance)
+    run = Native("rkn6").start([CHAOTIC], proposal)
+    for _ in run.blocks():
+        pass
+    # Errors of order 1 with h, 2h and 4h.
+    peaks = np.array([1e-5, 1.0])
+    distances = pairs(0.5 * truncation * peaks, truncation * peaks)
+    (error,) = given(run, distances, peaks).errors()
+    assert error.truncation == pytest.approx(truncation, rel=1e-9)
+    if how == "no":
+        assert error.amplified.size == 0
+        return
+    expected = bound
+    if how == "repeated":
+        repeated = repeat_rounding(CHAOTIC, METHODS["rkn6"], run.proposal.steps)
+        assert 10 * repeated.max() < bound.max()
+        expected = np.fmin(bound, repeated)
+    np.testing.assert_allclose(error.amplified, expected, rtol=1e-9, atol=0)
+    assert error.roundoff == pytest.approx(expected.max(), rel=1e-9)
+    # It is measured at the end only.
+    assert given(run, distances, peaks, sample=19).errors()[0].amplified.size == 0
+
+
+@pytest.mark.parametrize(("tolerance", "hopeless"), [(1e-10, True), (1e-8, False)])
+def test_hopeless_rounding_is_foreseen(tolerance: float, hopeless: bool) -> None:
+    """A thousand times the tolerance is exceeded by twice the evaluations so far."""
+    proposal = GIVEN.propose(CHAOTIC, 1e-6)._replace(tolerance=tolerance)
+    run = Native("rkn6").start([CHAOTIC], proposal)
+    for _ in run.blocks():
+        pass
+    (then,) = given(run, 0.0, (1e-5, 1.0), sample=10).outlook()
+    amplified = count_digits(2 * EVALUATIONS) * grow_digit(CHAOTIC, 1e3 * tolerance)
+    assert (amplified.max() > 1e3 * tolerance) == hopeless
+    if hopeless:
+        np.testing.assert_allclose(then.amplified, amplified, rtol=1e-9, atol=0)
+        assert then.roundoff == pytest.approx(amplified.max(), rel=1e-9)
+    else:
+        assert (then.amplified.size, then.roundoff < 1e-12) == (0, True)
+
+
+def test_distances_of_runs_with_changed_initial_values() -> None:
+    """They end where they are large enough, and the last distance is that of later samples."""
+    scene = struck(random_column(6, 2, 0.3, top="wall"), 0.1, 2e-4, 101)
+    method = METHODS["rkn6"]
+    engine = Native("rkn6", step=scene.duration / 1000, adaptive=False)
+    steps = engine.propose(scene, 1e-6).steps
+    changes = (1e-9, -2e-9)
+    found = separate(scene, changes, method, steps)
+    runs = [simulate(each, engine) for each in (scene, *(perturb(scene, c) for c in changes))]
+    for row, other in zip(found, runs[1:], strict=True):
+        expected = np.max(
+            [
+                np.abs(getattr(other, name) - getattr(runs[0], name)).max(1)
+                / np.abs(getattr(runs[0], name)).max()
+                for name in ("displacement", "velocity")
+            ],
+            axis=0,
+        )
+        np.testing.assert_allclose(row, expected, rtol=0.1, atol=1e-14)
+    enough = 20 * found[:, 0].max()
+    assert found.max() > 2 * enough
+    ended = separate(scene, changes, method, steps, enough)
+    first = int(np.flatnonzero((found > enough).any(0))[0])
+    assert first < 90
+    np.testing.assert_allclose(ended[:, : first + 1], found[:, : first + 1], rtol=0.3, atol=1e-14)
+    assert (ended[:, -1:] == ended[:, first + 3 :]).all()
+    assert (ended[:, -1] < found.max(1)).any()
+
+
+def test_a_scene_at_rest_has_the_units_of_its_chain() -> None:
+    """If nothing moves, errors are relative to lengths and speeds of a strike of strength 1."""
+    scene = smooth(samples=5).replace(excitation=Impulse(velocity=0.0))
+    run = finished(Native("rkn6", step=scene.duration / 40), scene)
+    length, speed = run.monitor.native.chains.arrays.units[0]
+    (error,) = given(run, pairs((63e-9 * length, 0.0), (63 * 64e-9 * length, 0.0)), 0.0).errors()
+    assert error.truncation == pytest.approx(2e-9, rel=1e-6)
+    (error,) = given(run, pairs((0.0, 63e-9 * speed), (0.0, 63 * 64e-9 * speed)), 0.0).errors()
+    assert error.truncation == pytest.approx(2e-9, rel=1e-6)
