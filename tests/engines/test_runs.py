@@ -7,15 +7,19 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper, scene_of, smooth
+from helpers.example_chains import random_column
+from helpers.example_scenes import paper, scene_of, smooth, struck
 from helpers.independent_integrators import distance, extended_reference
+from helpers.whole_runs import blocks_of
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
 from lmpchain.engines.stepping import monitor
 from lmpchain.engines.stepping import time_stepping as stepping_run
+from lmpchain.engines.stepping.monitor import place_looks
 from lmpchain.engines.stepping.time_stepping import kind
 from lmpchain.integrators.methods import METHODS
+from lmpchain.util.arrays import EPSILON
 
 CHAIN = Chain(grains=10, diameter=1e-3)
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=4e-5, samples=21)
@@ -259,3 +263,113 @@ def test_longer_runs_are_expected_to_cost_more():
     assert reached == pytest.approx(scene.highest_frequency * 5e-7 / 4, rel=1e-9)
     assert engine.count_active(scene.replace(duration=1e-9)) > last - first + 1
     assert Lammps().count_active(scene) == 120
+
+
+class Slow(Native):
+    """An engine that is thought to be slow, so that its runs are judged."""
+
+    seconds_per_grain_step = 1e-5
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_a_run_is_judged_at_times_of_its_expected_work(size: int) -> None:
+    """The samples follow from evaluations, grains and scenes, and all runs land on them."""
+    engine = Slow("rkn6", step=2e-8)
+    proposal = engine.propose(SCENE, 1e-6)
+    seconds = 1e-5 * proposal.steps.total(20) * METHODS["rkn6"].evaluations * 10 * size
+    expected = place_looks(seconds, 20, 4)
+    assert len(expected) > 2
+    run = engine.start([SCENE] * size, proposal)
+    judged: list[int] = []
+    run.judge = lambda run: judged.append(int(run.state()["sample"]))
+    velocity = blocks_of(run)[1]
+    assert judged == sorted(expected)
+    # Fast runs are not judged, with the same bits.
+    quick = Native("rkn6", step=2e-8)
+    run = quick.start([SCENE] * size, quick.propose(SCENE, 1e-6))
+    run.judge = lambda run: judged.append(-1)
+    assert np.array_equal(blocks_of(run)[1], velocity)
+    assert -1 not in judged
+    # A scene that may be unpredictable is judged as soon as possible, too.
+    scene = struck(random_column(6, 2, 0.3, top="wall"), 0.1, 2e-3, 21)
+    run = quick.start([scene], quick.propose(scene, 1e-6))
+    run.judge = lambda run: judged.append(-int(run.state()["sample"]))
+    blocks_of(run)
+    assert judged[len(expected) :] == [-4]
+
+
+def test_blocks_fit_into_memory_and_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e6)
+    engine = Native("rkn6", step=1e-7)
+    proposal = engine.propose(SCENE, 1e-6)
+    run = engine.start([SCENE, SCENE], proposal)
+    assert [block.samples for block in run.blocks()] == [slice(0, 21)]
+    assert run.monitor.runs == 2
+    # Displacement and velocity of all runs at ten samples.
+    for size, stops in ((10, [9, 17, 21]), (7.9, [5, 9, 13, 17, 21]), (21, [21]), (0, [5, 9])):
+        monkeypatch.setattr(stepping_run, "BLOCK_BYTES", int(size * 16 * 3 * 2 * 10))
+        run = engine.start([SCENE, SCENE], proposal)
+        found = [block.samples.stop for block in run.blocks() if block.samples.stop > 0]
+        assert found[: len(stops)] == stops
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 2**25)
+    # The first block has the expected time, and later ones that of the block before.
+    slow = proposal._replace(cost_s=21 * 1e6 / 2 / 8.5)
+    run = engine.start([SCENE, SCENE], slow)
+    assert [block.samples.stop for block in run.blocks()] == [9, 21]
+
+
+def test_long_pieces_of_work_can_be_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call of a compiled loop makes a single step; the bits and the errors are the same."""
+    engine = Native("rkn6", step=1e-7)
+    proposal = engine.propose(SCENE, 1e-6)
+    whole = engine.start([SCENE], proposal)
+    velocity = blocks_of(whole)[1]
+    monkeypatch.setattr(stepping_run, "PIECE_S", 0.0)
+    run = engine.start([SCENE], proposal)
+    progress = []
+    parts = []
+    for block in run.blocks():
+        progress.append(run.progress)
+        parts.append(block.velocity)
+        assert block.velocity.shape[2] == 10
+    assert len(parts) > 20
+    assert (np.diff(progress) > -1e-12).all()
+    assert 0 <= progress[0] < 0.1
+    assert np.array_equal(np.concatenate(parts, axis=1), velocity)
+    assert run.errors()[0].solver == whole.errors()[0].solver
+    cost = run.cost()
+    # Of the steps with h, 2h and 4h, four sevenths belong to the answer.
+    assert 0 < cost.integration_s <= 4 / 7 * (cost.integration_s + cost.estimate_s) * (1 + 1e-9)
+    # A run that continues has the progress of the stored one.
+    state = whole.state()
+    assert engine.start([SCENE], proposal, state).progress == 1.0
+
+
+def test_the_expected_rounding_error_of_a_run() -> None:
+    """It includes the loss of the plain force, relative to the largest speed."""
+    scene = smooth(samples=5)
+    for force in ("plain", "exact"):
+        engine = Native("rkn6", force=force)
+        expected = EPSILON * (2 + np.sqrt(1000 * METHODS["rkn6"].evaluations))
+        expected += EPSILON * 1.5 / 4 * scene.total_phase
+        if force == "plain":
+            weight = 1e-3 / scene.chain.masses.min()
+            expected += 0.9 * EPSILON * weight * scene.duration / np.sqrt(1000) / 1e-4
+        assert engine.typical_round_off(scene, 1000, 1e-4) == pytest.approx(expected, rel=1e-9)
+
+
+def test_methods_of_damped_and_other_chains() -> None:
+    damped = SCENE.replace(chain=CHAIN.replace(damping={"drag": 1e3}))
+    assert [method.name for method in Native().methods(damped)] == ["dop853"]
+    for scene, name, words in (
+        (damped, "rkn4", "a method for chains without damping: use dop853 or"),
+        (SCENE, "lagged-verlet", "a method for chains with damping: use kahan-li8 or"),
+    ):
+        engine = Native(name)
+        ((key, fault),) = engine.refuses(scene)
+        assert key == "integrator"
+        assert words in fault
+        with pytest.raises(InputError, match=words):
+            engine.methods(scene)
+    with pytest.raises(InputError, match="integrator: must be"):
+        Native("euler")
