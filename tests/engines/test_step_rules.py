@@ -91,11 +91,13 @@ def test_auxiliary_runs_of_damped_motions_land_on_every_sample(
     pushed = Force(shape="half-sine", amplitude=1e-6, duration=3 / EDGE)
     assert longer_steps(DOP853, scene.replace(excitation=pushed), equal_steps(scene, steps)) == []
     # The first steps of damped motions are chosen such that they can.
-    for tolerance in 10.0 ** -np.arange(3.0, 11):
-        chosen = choose_step(scene, DOP853, tolerance, True).per_landing
-        assert chosen <= 2 or chosen % 4 == 0 or chosen % 6 == 0
-        longest = scene.sampling_phase / expected_reach(scene, DOP853, tolerance, False)
-        assert longest <= chosen < longest + 4
+    for radians in (8.0, 80.0):
+        scene = calm(radians, 5, damping={"drag": 0.3 * EDGE})
+        for tolerance in 10.0 ** -np.arange(7.0, 11, 0.25):
+            reach = expected_reach(scene, DOP853, tolerance, False)
+            least = math.ceil(scene.sampling_phase / reach)
+            fit = next(n for n in range(least, 99) if n in (1, 2) or n > 31 or 0 in (n % 4, n % 6))
+            assert choose_step(scene, DOP853, tolerance, True).per_landing == fit
 
 
 def test_each_run_is_compared_with_that_of_the_next_shorter_steps() -> None:
