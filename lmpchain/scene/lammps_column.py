@@ -293,8 +293,6 @@ class RunColumn:
         return np.isin(self.grains.numbers[self.order], list(fix.members))
 
     def _number(self, fix: RunFix, place: int) -> float:
-        if place >= len(fix.words):
-            raise fix.line.refuse("is too short")
         assert self.source is not None
         return self.source.text.number(fix.words[place], fix.line)
 
@@ -681,6 +679,11 @@ class RunColumn:
                     '[excitation] kind = "force"'
                 )
             down = (-1.0 if self.up else 1.0) * float(force[self.axis])
+            if self.ends[0].kind == "wall":
+                raise fix.line.refuse(
+                    "presses grain 1, which touches a wall: a scene has a load or a wall at the "
+                    "top, so take out one of them"
+                )
             total = (total or 0.0) + down * self.source.units.force
             if total < 0:
                 raise fix.line.refuse("pulls grain 1 out of the column: a load must press it down")
@@ -774,7 +777,11 @@ class RunColumn:
             below = 0.0 if abs(below) <= wall_slack else below
         if bottom.kind == "free":
             return np.concatenate([[0.0], -np.cumsum(off)])
-        return below + np.concatenate([np.cumsum(off[::-1])[::-1], [0.0]])
+        displacement = below + np.concatenate([np.cumsum(off[::-1])[::-1], [0.0]])
+        if self.ends[0].kind == "held":
+            # The displacement of a held grain is only the rounding error of the sum.
+            displacement[0] = 0.0
+        return displacement
 
     def _excitation(self, chain: Chain, displacement: Array) -> Any:
         """Return the excitation with the displacements and velocities of the first frame."""

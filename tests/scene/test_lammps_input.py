@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.own_inputs import INPUTS, LEVEL, run_input, silent_lammps, tapered_data
+from scipy.optimize import brentq
 
-from lmpchain import InputError, LmpchainError
+from lmpchain import InputError, LmpchainError, Scene
 from lmpchain.cli.command_line import main
 from lmpchain.scene.lammps_column import RunOptions, infer_scene
 from lmpchain.scene.lammps_input import LammpsInput
@@ -59,6 +60,136 @@ def test_the_plain_input_is_understood(tmp_path: Path):
     assert understood.fields["duration"] == pytest.approx(1e-5, rel=1e-15)
     assert understood.fields["samples"] == 101
     assert dict(understood.facts)["units"] == "si (line 1)"
+
+
+WALL = (
+    "fix 8 all wall/gran granular hertz 1e10 0 tangential linear_nohistory 0 0 damping velocity "
+    "xplane"
+)
+HELD_TOP = "set atom 1 vx 0\nset atom 2 vx 0.1\ngroup t id 1\nfix 8 t setforce 0 0 0"
+MASS = 7800 * math.pi / 6 * 1e-6
+STIFF = 1e10 * math.sqrt(0.0025)  # Contact constant, N/m^1.5.
+WALL_STIFF = 1e10 * math.sqrt(0.005)
+WEIGHT = 9.81 * MASS
+GRAVITY = "fix 9 all gravity 9.81 vector 1 0 0"
+
+
+def squeezed(force: float, constant: float) -> float:
+    """Return the overlap of a contact with this force, m."""
+    return (force / constant) ** (2 / 3)
+
+
+def excess(load: float) -> float:
+    """Return the overlaps of a column between two walls minus the space that it lacks, m."""
+    constants = (WALL_STIFF, STIFF, STIFF, WALL_STIFF)
+    rest = sum(squeezed(load + n * WEIGHT, constant) for n, constant in enumerate(constants))
+    return rest - 2e-5
+
+
+# Lines that are added before the run; findings, and the forces of all contacts at rest, N.
+PRESSED = float(brentq(excess, 0.0, 10.0, xtol=1e-15))
+UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
+    "gravity": (
+        "fix 9 all gravity 9.81 vector 2 0 0",
+        {
+            "column": "3 grains along x, which points down: grain 1 is atom 1, grain 3 atom 3",
+            "gravity": "9.81 m/s2 (line 16)",
+            "load": "none (no fix addforce on a grain)",
+            "top": "free",
+            "bottom": "grain 3 is held",
+            "grains": "diameter 0.01 m, mass 0.00408407 kg",
+        },
+        [0.0, WEIGHT, 2 * WEIGHT, 0.0],
+    ),
+    "two parts of gravity": (
+        "fix 7 all gravity 9 vector 1 0 0\nfix 9 beads gravity -0.81 vector -1 0 0",
+        {"gravity": "9.81 m/s2 (line 17)"},
+        [0.0, WEIGHT, 2 * WEIGHT, 0.0],
+    ),
+    "two loads": (
+        "group t id 1 3\nfix 7 t addforce 1 0 0\nfix 9 t addforce 0.5 0 0",
+        {"load": "1.5 N on grain 1 (line 18)", "gravity": "none (no fix gravity)"},
+        [0.0, 1.5, 1.5, 0.0],
+    ),
+    "gravity and a load": (
+        "group t id 1\nfix 7 t addforce 1 0 0\nfix 9 all gravity 9.81 vector 1 0 0",
+        {"load": "1 N on grain 1 (line 17)"},
+        [0.0, 1 + WEIGHT, 1 + 2 * WEIGHT, 0.0],
+    ),
+    "a wall far away": (
+        f"{WALL} -0.00551 NULL",
+        {"wall at -0.00551": "ignored: its nearest grain is 0.00051 m away", "top": "free"},
+        [0.0] * 4,
+    ),
+    "a wall above": (
+        f"{WALL} -0.00499 NULL",
+        {"top": "a wall, 7.07107e+08 N/m^delta (line 16)", "bottom": "grain 3 is held"},
+        [(1.02e-5 / (2 / STIFF ** (2 / 3) + 1 / WALL_STIFF ** (2 / 3))) ** 1.5] * 3 + [0.0],
+    ),
+    "gravity between walls": (
+        f"group t id 3\nfix 7 t nve\n{GRAVITY}\n{WALL} -0.00499 0.02499",
+        {"load": f"{PRESSED:.9g} N (from the distance of the ends, which do not move)"},
+        [PRESSED + n * WEIGHT for n in range(4)],
+    ),
+    "a floor": (
+        f"group t id 3\nfix 7 t nve\nfix 9 all gravity 9.81 vector 1 0 0\n{WALL} NULL 0.02499",
+        {"top": "free", "bottom": "a wall, 7.07107e+08 N/m^delta (line 19)"},
+        [0.0, WEIGHT, 2 * WEIGHT, 3 * WEIGHT],
+    ),
+    "stops at both ends": (
+        f"{HELD_TOP}\nset atom 3 x 0.0199997",
+        {"top": "grain 1 is held", "hold": "grain 1 does not move: a drive of amplitude 0"},
+        [0.0, *[STIFF * 1.5e-7**1.5] * 2, 0.0],
+    ),
+    "drags": (
+        "group b id 2\nfix 7 b viscous 1.0\nfix 9 all viscous 0.5",
+        {"damping": "contacts 0 s, drag 122.427 to 367.281 1/s"},
+        [0.0] * 4,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNDERSTOOD)
+def test_forces_and_displacements_follow_from_the_lines(name: str, tmp_path: Path) -> None:
+    """Forces at rest are those of the fixes, and displacements are overlaps beyond these forces."""
+    lines, findings, forces = UNDERSTOOD[name]
+    understood = read(tmp_path, START.replace("timestep", f"{lines}\ntimestep"))
+    assert findings.items() <= dict(understood.facts).items()
+    scene = Scene(**understood.fields)
+    contacts = scene.chain.contacts
+    # The first contact carries the load, even at a free end.
+    assert contacts.force[1:] == pytest.approx(forces[1:], rel=1e-9, abs=1e-15)
+    overlaps = [1.00e-5, 1e-7, 2e-7 if "set atom 3" in lines else 1e-7, 9.8e-6]
+    constants = [WALL_STIFF, STIFF, STIFF, WALL_STIFF]
+    off = [o - squeezed(f, k) for o, f, k in zip(overlaps, forces, constants, strict=True)]
+    if scene.chain.bottom == "fixed":
+        off[3] = 0.0
+    expected = np.cumsum(off[:0:-1])[::-1]
+    u = scene.initial()[0]
+    assert u == pytest.approx(expected, rel=1e-8, abs=1e-16)
+    if scene.chain.top == "wall":
+        assert contacts.force[0] == pytest.approx(forces[0], rel=1e-9)
+        assert u[0] == pytest.approx(-off[0], rel=1e-8)
+        assert contacts.constant[0] == pytest.approx(WALL_STIFF, rel=1e-14)
+    drag = 0.5 / MASS if name == "drags" else 0.0
+    assert scene.chain.drag[:2] == pytest.approx([drag, 3 * drag], rel=1e-14, abs=0)
+
+
+def test_a_held_top_grain_has_no_displacement(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Sums of seven overlaps that differ have rounding errors, which must not move a held grain."""
+    row = np.concatenate([[0.0], np.cumsum(0.01 - rng.uniform(1e-7, 3e-7, (9, 6)), axis=1)[0]])
+    for _ in range(5):
+        row[1:] = np.cumsum(0.01 - rng.uniform(1e-7, 3e-7, 6))
+        atoms = "\n".join(f"create_atoms 1 single {x!r} 0 0" for x in row.tolist())
+        text = START.replace("create_atoms 1 single 0.0 0 0", atoms)
+        text = "\n".join(line for line in text.split("\n") if " 0.0099999 " not in line)
+        text = "\n".join(line for line in text.split("\n") if " 0.0199998 " not in line)
+        text = text.replace("beads id 1:2", "beads id 2:6").replace("atom 1 vx", "atom 3 vx")
+        scene = Scene(**read(tmp_path, text).fields)
+        u = scene.initial()[0]
+        assert u[[0, -1]].tolist() == [0.0, 0.0]
+        rest = 0.01 - row[-1] / 6
+        assert np.diff(u) == pytest.approx(np.diff(row) - 0.01 + rest, rel=0, abs=1e-16)
 
 
 # A line that replaces another one (or is added before the run), and a part of the message.
@@ -115,14 +246,75 @@ REFUSED = {
         "fix 9 all wall/gran hooke 1e9 NULL 0 NULL 0 0 xplane -0.005 NULL",
         "has hooke contacts, but the grains have hertz contacts",
     ),
+    "two walls": ("", f"{WALL} -0.005 NULL\nfix 9 {WALL[6:]} -0.0049 NULL", "is a second wall"),
+    "a wall nearby": ("", f"{WALL} -0.00549 NULL", "m shorter than the space between its ends"),
+    "a wall that damps": (
+        "",
+        "fix 9 all wall/gran hertz/history 1e10 NULL 3 NULL 0 0 xplane -0.005 NULL",
+        # The time is 3 m / (1.5 k).
+        "has the relaxation time 8.16814e-13 s: use the relaxation time of the contact beside it, "
+        "0 s",
+    ),
+    "a gap between stops": (
+        "",
+        f"{HELD_TOP}\nset atom 3 x 0.0201",
+        "its column is 0.0001 m shorter than the space between its ends",
+    ),
+    "no bottom": (
+        "",
+        "group t id 3\nfix 7 t nve\nfix 9 all gravity 9.81 vector 1 0 0",
+        "has no wall and no held grain at its bottom: it would fall",
+    ),
+    "no bottom below a wall": (
+        "",
+        f"group t id 3\nfix 7 t nve\nfix 9 all gravity 9.81 vector 1 0 0\n{WALL} -0.00499 NULL",
+        "has no wall and no held grain at its bottom: it would fall",
+    ),
+    "hanging grains": (
+        "",
+        "fix 9 all gravity 9.81 vector -1 0 0",
+        "no held grain at its bottom: it would fall",
+    ),
+    "gravity without direction": (
+        "",
+        "fix 9 all gravity 9.81 vector 0 0 0",
+        "must be along the column, x",
+    ),
+    "gravity in a plane": (
+        "",
+        "fix 9 all gravity 9.81 vector 1 0",
+        "must be `gravity` with a magnitude and vector",
+    ),
     "gravity aside": ("", "fix 9 all gravity 9.81 vector 0 0 -1", "must be along the column, x"),
     "gravity of some": ("", "group two id 2\nfix 9 two gravity 9.81 vector 1 0 0", "must act on"),
     "chute": ("", "fix 9 all gravity 9.81 chute 20", "with a magnitude and vector x y z"),
     "a pull": ("", "group t id 1\nfix 9 t addforce -1 0 0", "pulls grain 1 out of the column"),
     "a force below": ("", "group t id 2\nfix 9 t addforce 1 0 0", "must press grain 1 alone"),
     "a force aside": ("", "group t id 1\nfix 9 t addforce 1 1 0", "must press grain 1 alone"),
+    "a force with a period": (
+        "",
+        "group t id 1\nfix 9 t addforce 1 0 0 every 2",
+        "has options that are not read: give three numbers",
+    ),
+    "a force beside a wall": (
+        "",
+        f"group t id 1\nfix 9 t addforce 1 0 0\n{WALL} -0.005 NULL",
+        "(fix 9 t addforce 1 0 0) presses grain 1, which touches a wall",
+    ),
+    "a load that crushes": ("", "group t id 1\nfix 9 t addforce 1e9 0 0", "not define a valid"),
     "a force in time": ("", "group t id 1\nfix 9 t addforce v_f 0 0", "the variable f, whose"),
     "setforce": ("", "fix 9 all setforce 1 0 0", "sets a force other than 0"),
+    "a stop with options": (
+        "",
+        "fix 9 all setforce 0 0 0 region box",
+        "has options that are not read: give three numbers",
+    ),
+    "a drag with options": (
+        "",
+        "fix 9 all viscous 1 scale 1 2",
+        "has options that are not read: give one number",
+    ),
+    "one place": ("", "set atom * x 0.0", "has all grains at one place"),
     "an inner stop": ("", "group t id 2\nfix 8 t setforce 0 0 0", "atom 2 is held within"),
     "nothing moves": ("fix 1", "fix 1 beads freeze", "has no fix nve or nve/sphere"),
     "moved twice": ("", "fix 9 all nve", "moves grains that another fix moves"),
@@ -168,6 +360,11 @@ REFUSED = {
     "a number of steps": ("run", "run 1e3", "has '1e3' in place of a whole number"),
     "a missing data file": ("", "read_data no.data", "there is no such file"),
     "bonds": ("", "bond_style fene", "is not a supported bond style"),
+    "ends that touch": (
+        "region",
+        "boundary p f f\nregion box block -0.005 0.0249 -0.01 0.01 -0.01 0.01",
+        "has end grains that touch through the periodic boundary x",
+    ),
     "a periodic column": (
         "boundary",
         "boundary p f f\nregion box sphere 0 0 0 1",
