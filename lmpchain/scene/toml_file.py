@@ -314,10 +314,11 @@ def _file(folder: Path | None, name: Any) -> Path:
 
 def _csv(path: Path, names: Sequence[str]) -> dict[str, Any]:
     """Return columns from a CSV file: lists of numbers, or of words for `material`."""
-    header, rows = _read_table(path)
+    header, lines = _read_table(path)
     # A row is a grain, and a column may number the grains.
     _check_header(path, header, names, {"grain"})
-    _check_rows(path, rows, len(header))
+    _check_rows(path, lines, len(header))
+    rows = list(lines.values())
     columns: dict[str, Any] = dict(zip(header, zip(*rows, strict=True), strict=True))
     for key in columns.keys() - {"material"}:
         try:
@@ -331,15 +332,17 @@ def _csv(path: Path, names: Sequence[str]) -> dict[str, Any]:
     return columns
 
 
-def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Return the header and the rows of a CSV file."""
+def _read_table(path: Path) -> tuple[list[str], dict[int, list[str]]]:
+    """Return the header and the rows of a CSV file, by the numbers of their lines from 1."""
     try:
         check_readable(path, FILE_SIZES.table)
         # Spreadsheets begin a file with a byte-order mark, which utf-8-sig removes.
         with open(path, encoding="utf-8-sig", newline="") as opened:
             # A file with a single endless line would fill the memory.
-            lines = iter(lambda: opened.readline(FILE_SIZES.line), "")
-            header, *rows = filter(None, map(_cells, csv.reader(lines)))
+            reader = csv.reader(iter(lambda: opened.readline(FILE_SIZES.line), ""))
+            lines = ((reader.line_num, _cells(row)) for row in reader)
+            rows = {line: cells for line, cells in lines if cells}
+            header = rows.pop(min(rows))
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a table with a header"
         raise InputError.at("file", f"{path} cannot be read as CSV: {reason}") from None
@@ -365,10 +368,9 @@ def _check_header(
         raise InputError.at("file", message)
 
 
-def _check_rows(path: Path, rows: Sequence[Sequence[str]], length: int) -> None:
+def _check_rows(path: Path, rows: Mapping[int, Sequence[str]], length: int) -> None:
     """Raise `InputError` unless there are rows, all of this length."""
-    # Lines are counted from 1; the header is line 1.
-    for line, row in enumerate(rows, 2):
+    for line, row in rows.items():
         if len(row) != length:
             message = f"{path}, line {line}: must have {length} values, as the header has"
             raise InputError.at("file", message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -342,7 +343,7 @@ class TraceFile(TableFile):
         steps = np.diff(table.values([place])[:, 0]) * (factor or 1.0)
         if (np.abs(steps - self.time_scale) < OFF_GRID * self.time_scale).all():
             return place, self.time_scale if is_counter(table, place) else None
-        if factor is not None and not np.isclose(factor, self.time_scale, 1e-9):
+        if factor is not None and not math.isclose(factor, self.time_scale):
             return None, self.time_scale
         return place, self.time_scale
 
@@ -358,7 +359,7 @@ class TraceFile(TableFile):
                 cure = "give time_scale, in s, or the column of the times by columns"
                 raise InputError.at("time_scale", f"{header}, which is not a unit of time: {cure}")
             return unit.factor
-        if unit and unit.base == "s" and not np.isclose(unit.factor, scale, 1e-9):
+        if unit and unit.base == "s" and not math.isclose(unit.factor, scale):
             cure = "omit time_scale, or skip the header"
             raise InputError.at("time_scale", f"{header}, not {scale:g} s: {cure}")
         return scale
@@ -377,10 +378,10 @@ class TraceFile(TableFile):
         self, time: Array, values: Array, from_zero: bool
     ) -> tuple[Array, Array, int]:
         """Return times and values since the trigger, and the number of rows before it."""
-        if not time[0] <= self.trigger < time[-1]:
+        slack = SAME_TIME * np.diff(time).min()
+        if not time[0] - slack <= self.trigger < time[-1] - slack:
             extent = f"which covers {time[0]:g} to {time[-1]:g} s"
             raise InputError.at("trigger", f"must be within the trace, {extent}")
-        slack = SAME_TIME * np.diff(time).min()
         # Index of the first row after the trigger, and of the last row at or before it.
         first = int(np.argmax(time > self.trigger + slack))
         last = first - 1
@@ -457,10 +458,13 @@ def _calibrate(
         # The unit of the scale is written as (m/s)/V.
         name = f"({quantity.unit})" if "/" in quantity.unit else quantity.unit
         return Calibration(unit.factor, unit.base, scale, f"{name}/{unit.base}")
-    if unit.factor != 1 and not np.isclose(unit.factor, scale, 1e-9):
+    if unit.factor == 1:
+        return Calibration(1.0, unit.base, scale, "")
+    if not math.isclose(unit.factor, scale):
         cure = "omit scale, or skip the header"
         raise InputError.at("scale", f"{header}, and scale would be a second factor: {cure}")
-    return Calibration(1.0, unit.base, scale, "")
+    # The scale repeats the prefix in the header, and an offset has no prefix.
+    return Calibration(unit.factor, unit.base, 1.0, "")
 
 
 def _spread(values: Array | None, count: int, key: str) -> list[float | None]:

@@ -27,9 +27,11 @@ def test_a_channel_has_its_own_unit_and_times(text: str, options: dict[str, Any]
 
 def test_a_given_interval_overrides_contradictory_times(tmp_path: Path):
     path = tmp_path / "scope.csv"
-    path.write_text("Time (s),F\n0,1\n1,2\n2,4\n")
-    force = Force(grain=1, file=path, columns=["F"], time_scale=1e-6)
-    np.testing.assert_allclose(force.times, [0, 1e-6, 2e-6])
+    for unit, interval in (("s", 1e-6), ("ns", 4e-9)):
+        path.write_text(f"Time ({unit}),F\n0,1\n1,2\n2,4\n")
+        force = Force(grain=1, file=path, columns=["F"], time_scale=interval)
+        np.testing.assert_allclose(force.times, [0, interval, 2 * interval])
+        assert f"by intervals of {interval:g} s" in force.source
 
 
 REFUSED = {  # Text, options, and a part of the message.

@@ -46,8 +46,9 @@ TABLES = {
     "a column twice": ("diameter,diameter\n1,2\n", HEADER),
     "grains alone": ("grain\n1\n", HEADER),
     "a short line": (
-        "diameter,mass\n1e-3,1e-6\n1e-3\n",
-        "{path}, line 3: must have 2 values, as the header has",
+        # Empty lines are ignored, but counted.
+        "diameter,mass\n\n1e-3,1e-6\n1e-3\n",
+        "{path}, line 4: must have 2 values, as the header has",
     ),
     "nothing": ("diameter\n", "{path} has a header but no rows below it"),
     "words": ("diameter\n1e-3\nwide\n", "{path}: the column diameter must contain numbers ("),

@@ -200,6 +200,12 @@ def test_profiles_are_read_from_columns(tmp_path: Path):
     profile = Profile(file=path, columns=[2, 3])
     np.testing.assert_allclose(profile.displacement, [1.5e-9, 5e-10, 0], rtol=1e-15)
     np.testing.assert_allclose(profile.velocity, [2e-3, 1e-3, 0], rtol=1e-15)
+    # A scale may repeat the prefixes of the header, but offsets are in m and m/s.
+    same = {"columns": [2, 3], "scale": [1e-9, 1e-3], "offset": [5e-10, 1e-3]}
+    shifted = Profile(file=path, **same)
+    np.testing.assert_allclose(shifted.displacement, [1e-9, 0, -5e-10], rtol=1e-15, atol=1e-24)
+    np.testing.assert_allclose(shifted.velocity, [1e-3, 0, -1e-3], rtol=1e-15, atol=1e-18)
+    assert "less 5e-10 m; " in shifted.source
     assert Profile(file=path, columns={"velocity": "v"}) == Profile(velocity=[2e-3, 1e-3, 0])
     piece = profile.part(1, 2)
     assert piece.velocity.tolist() == profile.velocity[:2].tolist()
@@ -235,6 +241,13 @@ REFUSED = {  # Content of the file, options, key, and a part of the message.
         "time_scale",
         "says 'ms', not 1e-06 s",
     ),
+    "nanoseconds": (
+        "t (ns),F\n0,1\n1,2\n",
+        {"time_scale": 4e-9},
+        "time_scale",
+        "says 'ns', not 4e-09 s",
+    ),
+    "nanonewtons": ("t,F (nN)\n0,1\n1,2\n", {"scale": 2e-9}, "scale", "a second factor"),
     "scale on top": ("t,F (mN)\n0,1\n1,2\n", {"scale": 2.0}, "scale", "a second factor"),
     "scale of 0": ("t,F\n0,1\n1,2\n", {"scale": 0.0}, "scale", "must not be 0"),
     "NaN": ("t,F\n0,1\n1,NaN\n2,3\n", {}, "file", "line 3: 'NaN' in column 2"),
@@ -247,6 +260,7 @@ REFUSED = {  # Content of the file, options, key, and a part of the message.
     "twice": ("t,F\n0,1\n0,2\n1,3\n", {}, "file", "line 3: time does not increase"),
     "before t = 0": ("t,F\n-1,1\n0,2\n1,3\n", {}, "trigger", "begins at -1 s"),
     "trigger outside": ("t,F\n0,1\n1,2\n", {"trigger": 2.0}, "trigger", "covers 0 to 1 s"),
+    "trigger at the end": ("t,F\n0,1\n1,2\n", {"trigger": 1 - 1e-9}, "trigger", "within the tr"),
     "baseline outside": ("t,F\n0,1\n1,2\n", {"baseline": [2, 3]}, "baseline", "covers 0 to 1 s"),
     "baseline backwards": ("t,F\n0,1\n1,2\n", {"baseline": [1, 0]}, "baseline", "two times"),
     "baseline and offset": (
