@@ -46,6 +46,8 @@ FIXES = {
 # Commands that place grains; a dump replaces them.
 PLACES = ("create_atoms", "displace_atoms", "minimize", "velocity")
 LOOPS = ("label", "next", "jump", "if")
+# First words of a condition that only repeats or ends a loop.
+WITHOUT_EFFECT = (["then"], ["else"], ["jump"], ["print"])
 # Default time steps of inputs without the command timestep, by unit style.
 DEFAULT_STEPS = {"si": 1e-8, "cgs": 1e-8, "micro": 2.0, "nano": 0.00045, "lj": 0.005}
 DUMP_CURE = "name a dump of its frames, too: --from IN own.lammpstrj"
@@ -151,8 +153,9 @@ class LammpsInput:
             return
         if self.steps:
             raise line.refuse("is after a run: write the runs without a loop or a condition")
-        quoted = [group for match in TOKENS.findall(line.text) for group in match[:3] if group]
-        harmless = all(each.split()[:1] in (["jump"], ["print"]) for each in quoted)
+        # The first two words are the command and its condition.
+        executed = ["".join(groups) for groups in TOKENS.findall(line.text)[2:]]
+        harmless = all(each.split()[:1] in WITHOUT_EFFECT for each in executed)
         if command == "if" and not harmless:
             raise line.refuse("executes commands on a condition: write those that apply")
         self.ignored[command] = None

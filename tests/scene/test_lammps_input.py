@@ -3,6 +3,7 @@
 import math
 import random
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -201,6 +202,53 @@ REFUSED = {
     "an unknown keyword": ("pair_coeff", "pair_coeff * * hertz 1e10 0 sticky 3", "has sticky"),
     "a cutoff": ("pair_coeff", "pair_coeff * * hertz 1e10 0 cutoff 1", "has cutoff"),
     "too short": ("pair_coeff", "pair_coeff * * hertz 1e10", "is too short"),
+    "no model": ("pair_coeff", "pair_coeff * *", "is too short: a contact model is missing"),
+    "heat": ("pair_coeff", "pair_coeff * * hertz 1e10 0 heat area 3", "has heat, which a scene"),
+    "a limit": ("pair_coeff", "pair_coeff * * hertz 1e10 1 limit_damping", "has limit_damping"),
+    "an old limit": (
+        "pair_style",
+        "pair_style gran/hooke 1e5 NULL 3 NULL 0 0 limit_damping",
+        "has limit_damp",
+    ),
+    "a rolling model": (
+        "pair_coeff",
+        "pair_coeff * * hertz 1e10 0 rolling linear_history",
+        "has rolling linear_",
+    ),
+    "no tangential model": ("pair_coeff", "pair_coeff * * hertz 1e10 0 tangential", "tangential ,"),
+    "a short model": (
+        "pair_coeff",
+        "pair_coeff * * hertz 1e10 0 tangential mindlin NULL 0",
+        "is too short",
+    ),
+    "an old soft one": ("pair_style", "pair_style gran/hooke 0 NULL 0 NULL 0 0", "above 0 (got 0)"),
+    "a ratio": ("pair_coeff", "pair_coeff * * hertz/material 1e9 0 0.6", "of at most 0.5 (got 0.6"),
+    "a ratio of -1": ("pair_coeff", "pair_coeff * * hertz/material 1e9 0 -1", "0.5 (got -1)"),
+    "unlike models": (
+        "pair_coeff",
+        "pair_coeff 1 1 hertz 1e10 0\npair_coeff 2 2 hooke 1e5 0\nset atom 2 type 2",
+        "has another contact model than the other types: add a pair_coeff",
+    ),
+    "unlike coefficients": (
+        "pair_coeff",
+        "pair_coeff 1 1 hertz 1e10 0\npair_coeff 2 2 hertz/material 1e9 0 0.3\nset atom 2 type 2",
+        "has another contact model than the other types: add a pair_coeff",
+    ),
+    "two laws": (
+        "pair_coeff",
+        "pair_coeff 1 1 hertz 1e10 0\npair_coeff 1 2 hooke 1e5 0\nset atom 3 type 2",
+        "has both hertz and hooke contacts",
+    ),
+    "one of two types": (
+        "pair_coeff",
+        "pair_coeff 2 2 hertz 1e10 0\nset atom 2 type 2",
+        "has no pair_coeff for types 1 and 2",
+    ),
+    "an old style with more": (
+        "pair_style",
+        "pair_style gran/hooke 1e5 NULL 0 NULL 0 0 limit_damping 3",
+        "has 3, which",
+    ),
     "soft": ("pair_coeff", "pair_coeff * * hertz -1 0", "stiffness above 0 (got -1)"),
     "velocity damping": (
         "pair_coeff",
@@ -463,11 +511,72 @@ def test_lines_are_read_as_in_lammps(name: str, tmp_path: Path):
     source.with_name("in.lmp").write_text(text[: text.rindex("run 100")], encoding="utf-8")
     with silent_lammps() as lmp:
         lmp.file(str(source.with_name("in.lmp")))
-        expected = lmp.numpy.extract_atom("v")[:3].tolist()
-        masses = lmp.numpy.extract_atom("rmass")[:3].tolist()
+        count = int(lmp.get_natoms())
+        expected = {
+            name: lmp.numpy.extract_atom(name)[:count].copy()
+            for name in ("x", "v", "rmass", "radius", "type")
+        }
     grains = LammpsInput(source).grains()
-    assert grains.velocities.tolist() == expected
-    assert grains.masses == pytest.approx(masses, rel=1e-14)
+    assert grains.velocities.tolist() == expected["v"].tolist()
+    assert grains.positions.tolist() == expected["x"].tolist()
+    assert grains.types.tolist() == expected["type"].tolist()
+    assert grains.masses == pytest.approx(expected["rmass"], rel=1e-14)
+    assert grains.diameters == pytest.approx(2 * expected["radius"], rel=1e-14)
+
+
+# Text in place of the last two lines, steps of the first and last frame, and a part of the message.
+WITH_DUMP: dict[str, tuple[str, tuple[int, int], str]] = {
+    "a loop": ("label a\nvariable i loop 3\nnext i\njump SELF a\nrun 100", (0, 100), ""),
+    "a condition of a jump": ('if "$i > 3" then "jump SELF b"\nrun 100', (0, 100), ""),
+    "a condition of an end": ("if 1>0 then quit\nrun 9", (0, 9), "commands on a condition"),
+    "another jump": ("if 1>0 then 'jump SELF b' else \"print 'x'\"\nrun 9", (0, 9), ""),
+    "a condition": ('if "1 > 0" then "pair_style none"\nrun 9', (0, 9), "commands on a condition"),
+    "a loop of runs": ("label a\nrun 100\njump SELF a", (0, 100), r"\(jump SELF a\) is after a"),
+    "a lattice": ("lattice sc 0.01\ncreate_atoms 1 box\nminimize 0 0 1 1\nrun 9", (0, 9), ""),
+    "a change within": (
+        "run 50\ntimestep 2e-7\nrun 50",
+        (0, 100),
+        r"\(timestep 2e-7\) changes the run at step 50, within the dump, .* from step 0 to 100",
+    ),
+    "a change before": ("run 50\ntimestep 2e-7\nrun 50", (50, 100), ""),
+    "a change behind": ("run 50\nvelocity all set 0 0 0\nrun 50", (0, 50), ""),
+    "a velocity within": ("run 9\nvelocity all set 0 0 0\nrun 9", (0, 18), "at step 9, within"),
+    "no fix to remove": ("run 50\nunfix 7\nrun 50", (0, 100), ""),
+    "a fix that ends": ("run 50\nunfix 1\nrun 50", (0, 100), "at step 50, within"),
+    "an observer": ("run 50\nfix 7 all ave/time 1 1 1 v_a\nrun 50", (0, 100), ""),
+    "counted anew": ("run 50\ntimestep 2e-7\nreset_timestep 0\nrun 100", (0, 100), ""),
+    "a run up to a step": ("run 50\nrun 70 upto\ntimestep 2e-7\nrun 9", (0, 79), "at step 70,"),
+    "a type": ("group g type 1\nrun 9", (0, 9), "depends on types, which the dump does not have"),
+}
+
+
+@pytest.mark.parametrize(("text", "steps", "message"), WITH_DUMP.values(), ids=WITH_DUMP)
+def test_a_dump_replaces_the_grains_of_its_input(
+    text: str, steps: tuple[int, int], message: str, tmp_path: Path
+) -> None:
+    """Sizes come from the input if the dump has none; changes within the dump are rejected."""
+    path = tmp_path / "in.own"
+    path.write_text(START, encoding="utf-8")
+    placed = LammpsInput(path).grains()
+    unknown = np.full(3, math.nan)
+    types = placed.types * (message[:16] != "depends on types")
+    dumped = replace(placed, positions=2 * placed.positions, types=types, steps=steps)
+    lines = START.replace("timestep 1e-7\nrun 100", f"set atom 1 density 7000\n{text}")
+    path.write_text(lines, encoding="utf-8")
+    if message:
+        with pytest.raises(InputError, match=message):
+            LammpsInput(path, dumped)
+        return
+    grains = LammpsInput(path, dumped).grains()
+    assert grains.positions.tolist() == dumped.positions.tolist()
+    assert grains.velocities.tolist() == placed.velocities.tolist()
+    assert grains.masses == pytest.approx(MASS, rel=1e-14)
+    bare = replace(dumped, diameters=unknown, masses=unknown)
+    lines = lines.replace("set atom 1 density", "set atom * diameter 0.01 density")
+    path.write_text(lines, encoding="utf-8")
+    grains = LammpsInput(path, bare).grains()
+    assert grains.diameters.tolist() == [0.01] * 3
+    assert grains.masses == pytest.approx(MASS * 7000 / 7800, rel=1e-14)
 
 
 def test_default_time_steps_are_those_of_lammps(tmp_path: Path):
@@ -507,6 +616,139 @@ def test_forces_agree_with_lammps(model: str, pair: tuple[int, int], tmp_path: P
     lines = lines.replace("timestep", "comm_modify vel yes\nneighbor 0.003 bin\ntimestep")
     with silent_lammps(lines) as lmp:
         assert -lmp.numpy.extract_atom("f")[0, 0] == pytest.approx(force, rel=1e-9)
+
+
+COEFFICIENTS = {  # Words after pair_coeff, and for a wall: stiffness k and damping eta in SI units.
+    "hertz": "hertz {k} {eta} tangential linear_history 0 0 0 damping viscoelastic",
+    "hertz by default": "hertz {k} {eta} rolling none tangential linear_nohistory 0 0",
+    "material": "hertz/material {k} {eta} 0.3 tangential mindlin NULL 0 0 twisting none",
+    "springs": "hooke {k} {eta} tangential linear_nohistory 0 0 damping mass_velocity heat none",
+    "springs by velocity": "hooke {k} {eta} rolling sds 0 0 0 damping velocity",
+    "old": "gran/hertz/history {k} NULL {eta} NULL 0 0",
+    "old springs": "gran/hooke {k} NULL {eta} NULL 0 0",
+    "old springs with history": "gran/hooke/history {k} NULL {eta} NULL 0 0",
+}
+SCALES = {"si": (1.0, 1.0, 1.0), "cgs": (1e-2, 1.0, 1e-3), "micro": (1e-6, 1e-6, 1e-15)}
+
+
+@pytest.mark.parametrize("units", SCALES)
+@pytest.mark.parametrize("name", COEFFICIENTS)
+def test_coefficients_are_converted_from_the_units_of_the_input(
+    name: str, units: str, tmp_path: Path
+) -> None:
+    """Contacts have k sqrt(R) and eta m / 1.5 k, or k and eta m / k, of R = d/4 and half a mass.
+
+    A wall has R = d/2 and the whole mass, so that half of eta gives it the same relaxation time.
+    """
+    length, time, mass = SCALES[units]
+    spring, velocity = "springs" in name, name == "springs by velocity"
+    k, eta = (1e5, 70.0) if spring else (2e9, 7e4)
+    if spring:
+        words = [k * time**2 / mass, eta * time / (mass if velocity else 1.0)]
+    else:
+        words = [k * length * time**2 / mass, eta * length * time]
+    pair, wall = (
+        COEFFICIENTS[name].format(k=repr(words[0]), eta=repr(words[1] * share))
+        for share in (1.0, 1.0 if velocity else 0.5)
+    )
+    old = name.startswith("old")
+    forces = f"pair_style {pair}\n" if old else f"pair_style granular\npair_coeff * * {pair}\n"
+    wall = wall.removeprefix("gran/") if old else f"granular {wall}"
+    push, pull = 1.5 * time**2 / (mass * length), 9.81 * time**2 / length
+    lines = [
+        *(f"units {units}", "atom_style sphere", "region box block -1e6 1e6 -1e6 1e6 -1e6 1e6"),
+        *("boundary f f f", "create_box 1 box"),
+        *(f"create_atoms 1 single {x / length!r} 0 0" for x in (0.0, 0.0099999, 0.0199998)),
+        f"set group all diameter {0.01 / length!r} density {7800 * length**3 / mass!r}",
+        *(forces, "fix 1 all nve/sphere", "group t id 1", f"fix 2 t addforce {push!r} 0 0"),
+        f"fix 3 all gravity {pull!r} vector 1 0 0",
+        f"fix 4 all wall/gran {wall} xplane NULL {0.0249997 / length!r}",
+        f"set atom 1 vx {0.1 * time / length!r}",
+        *(f"fix 5 all viscous {0.2 * time / mass!r}", f"timestep {1e-7 / time!r}", "run 100"),
+    ]
+    scene = Scene(**read(tmp_path, "\n".join(lines)).fields)
+    chain = scene.chain
+    if name == "material":
+        assert chain.given()["material"].youngs_modulus == pytest.approx(k, rel=1e-12)
+        k *= 4 / 3 / (2 * (1 - 0.3**2))
+    roots = [0.05, 0.05, math.sqrt(0.005)] if not spring else [1.0] * 3
+    assert chain.contacts.constant[1:] == pytest.approx([k * root for root in roots], rel=1e-12)
+    assert chain.exponent == (1.0 if spring else 1.5)
+    heavy = 1.0 if velocity else MASS / 2
+    relaxation = eta * heavy / k / (1 if spring else 1.5)
+    assert chain.damping.viscoelastic == pytest.approx(relaxation, rel=1e-12)
+    assert chain.drag == pytest.approx(0.2 / MASS, rel=1e-12)
+    assert chain.masses == pytest.approx(MASS, rel=1e-11)
+    assert chain.diameters == pytest.approx(0.01, rel=1e-12)
+    assert (chain.top_load, chain.gravity) == pytest.approx((1.5, 9.81), rel=1e-12)
+    assert scene.duration == pytest.approx(1e-5, rel=1e-12)
+    assert scene.initial()[1] == pytest.approx([0.1, 0.0, 0.0], rel=1e-12, abs=0)
+    below = 1e-7 - (1.5 + 3 * WEIGHT) ** (1 / chain.exponent) / (k * roots[2]) ** (
+        1 / chain.exponent
+    )
+    assert scene.initial()[0][-1] == pytest.approx(below, rel=1e-6)
+
+
+BONDS = """units {units}
+atom_style bond
+boundary f f f
+region box block -100 100 -100 100 -100 100
+create_box 1 box bond/types 3
+{atoms}
+mass 1 {mass}
+bond_style harmonic
+{coefficients}
+create_bonds single/bond 1 1 2
+create_bonds single/bond 2 2 3
+create_bonds single/bond 3 4 3
+group free id 1:3
+fix 1 free nve
+set atom 1 vx 0.1
+timestep 1e-6
+run 100
+"""
+
+
+def bonds(units: str, lengths: list[float], mass: str = "1e-3") -> str:
+    """Return an input of bonds with these lengths, and with 500, 700 and 600 in its units."""
+    places = np.concatenate([[0.0], np.cumsum(lengths)]).tolist()
+    rows = zip((500.0, 700.0, 600.0), lengths, strict=True)
+    return BONDS.format(
+        units=units,
+        mass=mass,
+        atoms="\n".join(f"create_atoms 1 single {x!r} 0 0" for x in places),
+        coefficients="\n".join(f"bond_coeff {n} {k} {d!r}" for n, (k, d) in enumerate(rows, 1)),
+    )
+
+
+@pytest.mark.parametrize(("units", "length", "mass"), [("si", 1.0, 1.0), ("cgs", 1e-2, 1e-3)])
+@pytest.mark.parametrize("lengths", [[0.01, 0.012, 0.011], [0.01, 0.019, 0.01], [0.01] * 3])
+def test_rest_lengths_of_bonds_are_distances_of_touching_grains(
+    units: str, length: float, mass: float, lengths: list[float], tmp_path: Path
+) -> None:
+    """Bonds of the energy K (r - r0)^2 have the stiffness 2 K."""
+    chain = read(tmp_path, bonds(units, lengths)).fields["chain"]
+    assert chain.contact_lengths[1:-1] == pytest.approx(np.multiply(lengths, length), rel=1e-12)
+    assert chain.diameters.min() > 0
+    assert chain.masses == pytest.approx(1e-3 * mass, rel=1e-14)
+    assert chain.law.force(-2e-4, chain.contact_constants) == pytest.approx(
+        np.array([1000.0, 1400.0, 1200.0]) * mass * -2e-4, rel=1e-12
+    )
+
+
+def test_impossible_bonds_are_rejected(tmp_path: Path) -> None:
+    text = bonds("si", [0.01, 0.012, 0.011])
+    for changed, message in (
+        (bonds("si", [0.01, 0.02, 0.01]), "rest lengths that are impossible in a row"),
+        (text.replace("bond_coeff 1 500.0 0.01", "bond_coeff 1 500.0 0.0"), "not above 0"),
+        (text.replace("mass 1 1e-3", ""), "bonds grains without a mass"),
+        (text.replace("mass 1 1e-3", "mass 1 0"), "bonds grains without a mass"),
+        (text.replace("bond_coeff 2 700.0 0.012", "bond_coeff 2 700.0"), "has no readable bond_co"),
+        (text.replace("bond 3 4 3", "bond 3 4 9"), "names a grain that does not exist"),
+        (text.replace("single/bond 3", "some 3"), "is not read: use many or single/bond"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read(tmp_path, changed)
 
 
 def test_bonds_need_neighbours_and_one_law(tmp_path: Path):
