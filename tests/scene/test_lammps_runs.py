@@ -252,7 +252,7 @@ def before_the_run(text: str) -> str:
     return text[: text.rindex("dump            out")]
 
 
-@pytest.mark.parametrize("name", ["level", "dimer", "cgs"])
+@pytest.mark.parametrize("name", ["level", "dimer", "cgs", "harmonic"])
 def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
     text = INPUTS[name]
     (tmp_path / "in.own").write_text(text, encoding="utf-8")
@@ -273,12 +273,16 @@ def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
 
 def test_an_instance_without_a_load_fix_has_no_load():
     text = before_the_run(LEVEL).replace("id 1 12", "id 12")
+    # A frozen grain is held, although it belongs to the group that moves.
+    text = text.replace("fix             1 beads", "fix             1 all")
     with silent_lammps(text) as lmp:
         scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
         assert (scene.chain.top, scene.chain.top_load, scene.chain.gravity) == ("free", 0.0, 0.0)
         # The overlaps of 1e-5 m push the grains apart.
         assert scene.initial()[0] == pytest.approx(1e-5 * np.arange(11, -1, -1), rel=1e-9)
         lmp.command("fix down beads gravity 9.81 vector 1 0 0")
+        scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
+        assert (scene.chain.bottom, scene.chain.gravity, scene.samples) == ("fixed", 0.0, 101)
         lmp.command("fix push beads addforce 1 0 0")
         with pytest.raises(
             InputError, match="has fix addforce, whose effect cannot be read from LAMMPS"
