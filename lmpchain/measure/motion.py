@@ -109,10 +109,9 @@ class Motion:
         known = self._equation in (1, 3) and chain.conservative
         lawful = np.full(self._column.size, known)
         if known and not self._all_recorded:
+            # Beyond an end without a wall no neighbour moves.
             recorded = self._column != UNKNOWN
-            exists = chain.contacts.exists
-            # A contact that does not exist needs no neighbour.
-            lawful[1:-1] = (recorded[:-2] | ~exists[:-1]) & (recorded[2:] | ~exists[1:])
+            lawful[1:-1] = recorded[:-2] & recorded[2:]
         lawful[0] = True
         # Bodies at rest.
         lawful[chain.movable + 1 :] = True

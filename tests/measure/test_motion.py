@@ -122,14 +122,17 @@ def test_grains_at_rest_do_not_change_peaks(samples):
 
 
 def test_recorded_grains_alone():
-    """Without recorded neighbours, accelerations follow from the samples."""
+    """Accelerations follow from the samples if a neighbour was not recorded, else from forces."""
     whole = simulate(paper("fig5 g", 401), "native", 1e-9)
-    few = simulate(Scene(**paper("fig5 g", 401).given() | {"grains": [3, 9]}), "native", 1e-9)
+    few = simulate(paper("fig5 g", 401).replace(grains=[3, 8, 9, 10]), "native", 1e-9)
     one = peaks(whole)
     other = peaks(few)
-    assert other.grain.tolist() == [3, 9]
-    assert (np.abs(other.value - one.value[[2, 8]]) <= other.error).all()
+    assert other.grain.tolist() == [3, 8, 9, 10]
+    assert (np.abs(other.value - one.value[[2, 7, 8, 9]]) <= other.error).all()
     assert (other.error < 1e-3 * other.value).all()
+    less = other.error / one.error[[2, 7, 8, 9]]
+    assert less[2] == pytest.approx(1, rel=0.02)
+    assert (less[[0, 1, 3]] > 10).all()
 
 
 def test_driven_grain():

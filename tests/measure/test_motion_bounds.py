@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of, struck
+from helpers.example_scenes import run, scene_of, struck
 
-from lmpchain import Chain, Impulse, InputError, engines, simulate
+from lmpchain import Chain, Drive, Impulse, InputError, Law, engines, simulate
 from lmpchain.measure.motion import Motion, motion_of
 
 SPRING = column(2, exponent=1.0, top_load=1.0, gravity=3.0)
 OMEGA = float(np.sqrt(SPRING.linear_stiffness[0] / SPRING.masses[0]))
 SPEED = 1e-6
+STRIKE = Impulse(velocity=1e-4)
+SOFTENS = Law("k*(o*exp(-(o/L)**2) + 0.02*o)", k=1e5, L=1e-6)
 
 
 def swing(
@@ -203,12 +205,25 @@ def test_the_bottom_force_of_distant_samples():
     )
 
 
-def test_no_bottom_force_without_support_or_recording():
-    chain = column(5, gravity=0.0, bottom="free")
-    scene = struck(chain, 1e-2, 1e-6, 21)
-    with pytest.raises(InputError, match="end: there is no wall at the end 'bottom'"):
-        motion_of(simulate(scene, engines.Native(step=1e-8))).largest_wall_force()
-    scene = scene_of(column(5), Impulse(velocity=1e-4), 1e-6, 21, grains=[1, 2, 3])
+@pytest.mark.parametrize(
+    ("chain", "excitation", "fault"),
+    [
+        ({"gravity": 0.0, "bottom": "free"}, STRIKE, "end: there is no wall at the end 'bottom'"),
+        ({}, Drive(end="bottom", amplitude=1e-9, frequency=1e4), "end: the last grain is driven"),
+        ({"damping": {"viscoelastic": 1e-7}}, STRIKE, "chain.damping.viscoelastic: .* viscous"),
+        ({"law": SOFTENS, "gravity": 0.0}, STRIKE, "chain.law: .* softening contact"),
+    ],
+)
+def test_the_bottom_force_that_approaches_do_not_show(
+    chain: dict[str, Any], excitation: Any, fault: str
+):
+    t = run(column(5, **chain), excitation, 1e-6, 21, 1e-3)
+    with pytest.raises(InputError, match=fault):
+        motion_of(t).largest_wall_force()
+
+
+def test_no_closest_approach_without_recording():
+    scene = scene_of(column(5), STRIKE, 1e-6, 21, grains=[1, 2, 3])
     between = motion_of(simulate(scene, engines.Native(step=1e-8)))
     with pytest.raises(InputError, match="grains: the grains of contact 4 must be recorded"):
         between.largest_wall_force()

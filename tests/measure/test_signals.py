@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import get_window
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Trajectory, engines, simulate
-from lmpchain.measure.bodies import motion_of_all
+from lmpchain.measure.bodies import known_contacts, motion, motion_of_all
 from lmpchain.measure.contact import contacts, drive_force, drive_motion, sensor, wall_force
 from lmpchain.measure.crests import summit
 from lmpchain.measure.flight import Flight, arrival, time_of_flight
@@ -311,6 +311,25 @@ def test_columns_of_recorded_bodies():
     assert leaves_rest(np.ones((2, 2)), np.zeros((2, 2))).tolist() == [True, True]
 
 
+@pytest.mark.parametrize("place", [{"grain": 0}, {"end": "bottom"}])
+def test_motion_of_any_bodies(place: dict[str, Any]):
+    """A body at rest has no motion, a driven wall that of its drive; contacts need two bodies."""
+    chain = column(8, top="wall", bottom="wall")
+    drive = Drive(**place, amplitude=2e-9, frequency=1e5)
+    t = simulate(scene_of(chain, drive, 2e-5, 11, grains=[8, 3, 4, 1, 6]), "native", 1e-6)
+    assert contacts(t).contact.tolist() == known_contacts(t).tolist() == [0, 3, 8]
+    u, v = motion(t, np.array([0, 3, 9, 8]))
+    omega = 2 * np.pi * 1e5
+    given = 2e-9 * np.sin(omega * t.time), 2e-9 * omega * np.cos(omega * t.time)
+    moves, rests = (0, 2) if "grain" in place else (2, 0)
+    for seen, wall, recorded in zip((u, v), given, (t.displacement, t.velocity), strict=True):
+        assert seen[:, moves] == pytest.approx(wall, abs=1e-12 * np.abs(wall).max())
+        assert not seen[:, rests].any()
+        assert np.array_equal(seen[:, [1, 3]], recorded[:, [1, 0]])
+    with pytest.raises(InputError, match=r"record these too: 2, 5$"):
+        motion(t, np.array([5, 4, 2, 5]))
+
+
 def test_largest_values_are_labelled_by_grain():
     t = run(column(6), Impulse(velocity=1e-6, grain=2), 2e-5, 101, 1e-9, grains=[4, 2, 3, 1, 5])
     for field in ("velocity", "displacement"):
@@ -350,6 +369,8 @@ def test_the_balance_needs_every_grain_that_can_move():
         (range(1, 100), "100"),
         (range(1, 99), "99, 100"),
         (range(2, 101), "1"),
+        (range(1, 93), "93, 94, 95, 96, 97, 98, 99, 100"),
+        (range(1, 92), "92, 93, 94, 95, 96, 97, 98, 99, ..."),
     ):
         some = simulate(scene.replace(grains=list(grains)), "native", 1e-9)
         with pytest.raises(InputError, match=f"record these too: {missing}$"):
