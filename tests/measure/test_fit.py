@@ -401,6 +401,9 @@ def test_the_summary_names_suitable_and_unsuitable_fits(weak: Trajectory, unifor
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert set(data) == {"strike_number", "rows", "left_out", "notes"}
     assert set(data["rows"][0]) == {"fit", "quantity", "value", "error", "expected", "unit"}
+    assert [(each["fit"], each["reason"]) for each in data["left_out"]] == list(found.left_out)
+    assert data["notes"] == list(found.notes)
+    assert [note.partition(":")[0] for note in found.notes][:2] == ["continuum", "exponents"]
     lines = found.table().splitlines()
     assert lines[0].split() == ["fit", "quantity", "value", "error", "theory", "unit"]
     assert lines[-1].startswith("strike number")

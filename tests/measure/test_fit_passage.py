@@ -7,7 +7,10 @@ from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
 from lmpchain.cli import main
 from lmpchain.measure.fit import fit_passage
 from lmpchain.measure.fit import overview as module
-from lmpchain.measure.fit.overview import summary
+from lmpchain.measure.fit.overview import FrontPassage, summary
+from lmpchain.measure.fit.table import FittedNumber
+from lmpchain.measure.front import Front
+from lmpchain.measure.motion import Peaks
 
 CHAIN = Chain(grains=40, material="steel", diameter=10e-3, gravity=0.0, top_load=20.0)
 EXCITATIONS = {
@@ -51,6 +54,47 @@ def test_front_velocity_and_force_agree_with_dense_samples(name: str):
     ends = [int(word) for word in speed.quantity.replace("grains ", "").split() if word.isdecimal()]
     assert ends[1] == grain
     assert 0.9 * 600 < speed.value < 800
+
+
+@pytest.mark.parametrize(
+    ("time", "first", "last"),
+    [
+        ([0, 1, 2, 4, 7], 0, 4),
+        ([7, 4, 2, 1, 0.5], 4, 0),
+        ([2, 1, 3, 4, 6], 1, 4),
+        ([5, 3, 1, 2, 6], 2, 4),
+        ([6, 5, 2, 1, 3, 4], 3, 0),
+        ([3], 0, 0),
+    ],
+)
+def test_the_front_goes_its_longest_way(time: list[float], first: int, last: int):
+    """Mean speed over the longer way from the first grain, with the errors of both times."""
+    size = len(time)
+    grain = np.arange(4, 4 + 2 * size, 2)
+    passed = 1e-5 * np.array(time)
+    error = 1e-7 * np.arange(1, 1 + size)
+    one = np.ones(size)
+    front = Front("velocity", grain, 0.01 * grain**1.1, passed, one, one, error, one, one)
+    peaks = Peaks(np.array([2, 5, 7]), np.array([0.1, 0.3, 0.2]), np.array([1e-3, 2e-3, 3e-3]))
+    rows = [
+        FittedNumber(
+            "front", f"arrival at grain {grain[last]}", passed[last], error[last], unit="s"
+        ),
+        FittedNumber("front", "largest velocity, grain 5", 0.3, 2e-3, unit="m/s"),
+        FittedNumber("front", "largest sampled force, contact 9", 12.5, unit="N"),
+    ]
+    found = list(FrontPassage(front, peaks, 9, 12.5).rows())
+    if size > 1:
+        speed = found.pop(1)
+        assert speed.quantity == f"mean speed, grains {grain[first]} to {grain[last]}"
+        duration = passed[last] - passed[first]
+        value = abs(0.01 * (grain[last] ** 1.1 - grain[first] ** 1.1)) / duration
+        assert speed.value == pytest.approx(value, rel=1e-12)
+        assert speed.error == pytest.approx(value * error[[first, last]].sum() / duration, rel=1e-9)
+        assert speed.unit == "m/s"
+    assert [row.cells() for row in found] == [row.cells() for row in rows]
+    *_, final = FrontPassage(front, peaks, -1, -np.inf).rows()
+    assert final.cells() == rows[1].cells()
 
 
 def test_forces_of_blocks_of_contacts_equal_those_of_all(monkeypatch: pytest.MonkeyPatch):

@@ -389,7 +389,8 @@ def test_the_table_of_a_summary():
         FittedNumber("two", "d", 1.0000004, 1e-20, 1.0),
         FittedNumber("two", "e", 5.4321, 60.0, np.nan),
     )
-    text = Summary(0.31, rows, (("three", "why: not"),)).table().splitlines()
+    reasons = (("three", "why: not; more"), ("four", "other: no"), ("five", "why: not"))
+    text = Summary(0.31, rows, reasons, ("one: short",)).table().splitlines()
     assert [line.split() for line in text[:6]] == [
         ["fit", "quantity", "value", "error", "theory", "unit"],
         ["one", "a", "1.2346", "0.002", "1.25", "m/s"],
@@ -398,8 +399,12 @@ def test_the_table_of_a_summary():
         ["d", "1.0000004", "1e-20", "1"],
         ["e", "5.4", "6e+01"],
     ]
-    assert text[6] == "left out: three (why: not)"
-    assert text[7] == "strike number 0.31, so linear theory is not expected to hold"
+    assert text[6:] == [
+        "one: short",
+        "left out: three, five (why: not)",
+        "left out: four (other: no)",
+        "strike number 0.31, so linear theory is not expected to hold",
+    ]
     assert Summary(0.3, (), ()).table() == "strike number 0.3"
 
 
