@@ -116,6 +116,26 @@ def test_grains_that_the_front_has_not_passed_are_left_out():
         track(t)
 
 
+@pytest.mark.parametrize("field", ["velocity", "displacement"])
+def test_a_front_falls_by_more_than_the_error(field: Any):
+    """Behind its maximum the field falls by 1e-3 of its size, which a larger error could cause."""
+
+    def ridge(t: Array, n: Array) -> Array:
+        rise, fall = (1 / (1 + np.exp(-2 * (t - middle))) for middle in (6, 13))
+        if field == "velocity":
+            return rise * (1 - 1e-3 * fall) + 0 * n
+        slope = rise * (1 - rise) * (1 - 1e-3 * fall) - 1e-3 * rise * fall * (1 - fall)
+        return 2 * slope + 0 * n
+
+    t = made_up(ridge)
+    known, unsure = (
+        replace(t, error_estimate=replace(t.error_estimate, solver=error)) for error in (5e-4, 2e-3)
+    )
+    assert track(known, field).grain.tolist() == [1, 2, 3, 4, 5]
+    with pytest.raises(InputError, match=f"no front of the {field} passes"):
+        track(unsure, field)
+
+
 def test_a_wave_without_a_recorded_decrease_has_no_width():
     front = track(made_up(lambda t, n: gauss(t, 17 - n) + 0.6 * (1 + np.tanh(t - 17 + n))))
     assert front.grain.tolist() == [1, 2, 3, 4, 5]
@@ -394,6 +414,8 @@ def test_an_unresolved_front_reports_the_number_of_resolved_grains():
     with pytest.raises(InputError, match="record"):
         panels.arrival(coarse)
     needed = int(str(no.value).rpartition("record ")[2].split()[0])
+    # The fastest motion turns by 2 rad between two samples.
+    assert 1.99 < scene.replace(samples=needed).sampling_phase <= 2
     front = track(simulate(scene.replace(samples=needed), "native"))
     truth = track(simulate(scene.replace(samples=2401), "native"))
     assert front.grain.size > 350

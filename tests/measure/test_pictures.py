@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_scenes import scene_of
+from matplotlib.ticker import LogLocator
 
 from lmpchain import Chain, Impulse, Profile, simulate
 from lmpchain.measure.contact import ContactHistory, Signal
@@ -229,7 +230,10 @@ def test_a_front_against_depth():
         assert_lines(axes, (n - 0.5, values))
         assert (axes.get_ylabel(), axes.get_xlabel()) == (label, "depth h = n − 1/2 (grains)")
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+        # Only the times differ by more than a decade.
+        assert isinstance(axes.yaxis.get_major_locator(), LogLocator) == (quantity == "time")
     assert_lines(front.plot(), (n - 0.5, 2e-3 / n))
+    assert_lines(front.between(9, 10).plot(), ([], []))
     assert front.plot(axes) is axes
 
 

@@ -27,12 +27,18 @@ def shock_of(exponent: float, strength: float, grains: int = 300) -> Trajectory:
     return simulate(scene, "native", 1e-6)
 
 
+@cache
+def waves_of(exponent: float, strength: float) -> planar.PlanarOrbits:
+    """Return the waves of this shock beside their orbits."""
+    return planar.orbits(shock_of(exponent, strength))
+
+
 @pytest.mark.parametrize(
     ("exponent", "strength"),
     thinned([(1.5, 0.1), (1.3, 0.6), (3.0, 0.3), (1.5, 0.6), (2.0, 0.3)], 4),
 )
 def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength: float) -> None:
-    waves = planar.orbits(shock_of(exponent, strength))
+    waves = waves_of(exponent, strength)
     assert len(waves.orbits) >= 4
     off = np.abs(waves.orbit_spacing - waves.spacing)
     assert (off <= waves.spacing_error + waves.orbit_spacing_error).mean() >= 0.9
@@ -47,13 +53,32 @@ def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength
     seen = shock.find(shock_of(exponent, strength))
     # Lower waves are left out.
     assert (waves.crest - waves.trough > 0.05 * (seen.behind.overlap - seen.ahead.overlap)).all()
-    assert waves.plot().get_xlabel()
+
+
+def test_the_picture_shows_six_orbits_with_their_waves() -> None:
+    """Orbits run from crest to trough and back, the first to the last of the wave."""
+    waves = waves_of(1.5, 0.1)
+    axes = waves.plot()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("overlap", "change of overlap a grain")
+    lines, dots = axes.lines[::2], axes.lines[1::2]
+    assert len(lines) == len(dots) == 6
+    chosen = [0, len(waves.orbits) - 1]
+    for number, line, dot in zip(chosen, (lines[0], lines[-1]), (dots[0], dots[-1]), strict=True):
+        orbit = waves.orbits[number]
+        assert line.get_label() == f"x/t = {waves.self_similar[number]:.4g} grains/s"
+        assert line.get_xdata() == pytest.approx([*orbit.overlap, *orbit.overlap[::-1]])
+        assert line.get_ydata() == pytest.approx([*orbit.slope, *-orbit.slope[::-1]])
+        assert dot.get_color() == line.get_color()
+        # A measured wave is near its orbit.
+        assert np.ptp(dot.get_xdata()) == pytest.approx(np.ptp(orbit.overlap), rel=0.3)
+        steepest = np.abs(dot.get_ydata()).max()
+        assert steepest == pytest.approx(np.abs(orbit.slope).max(), rel=0.15)
 
 
 def test_waves_are_measured_from_crest_to_crest() -> None:
     """Distances, speeds, crests and means agree with quintic splines through the overlaps."""
     t = shock_of(1.5, 0.1)
-    waves = planar.orbits(t)
+    waves = waves_of(1.5, 0.1)
     rest = t.scene.chain.equilibrium_overlap
     overlap = rest + t.displacement[:, :-1] - t.displacement[:, 1:]
 
