@@ -1,10 +1,12 @@
 """Shifts of colliding solitary waves tend to the shifts in integrable chains as amplitudes fall."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import make_interp_spline
 
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
 from lmpchain.measure import collision
@@ -157,10 +159,72 @@ def test_equal_waves_in_a_vacuum_lose_more_if_they_meet_at_a_contact() -> None:
     assert lost[0] > 2 * lost[1] > 1e-3
 
 
-def test_plot_has_the_shifts_and_the_laws() -> None:
-    """The legend has the shift of each wave, and the shift in Toda's chain."""
-    labels = collision.find(head_on(1.05, 500)).plot().get_legend_handles_labels()[1]
-    assert sum("Toda" in label for label in labels) == 2
+# Speed, way and first place of each wave; number of grains; duration in units of time.
+PAIRS = {
+    "head-on": (((1.3, 1, 25.3), (1.2, -1, 134.6)), 160, 74.0),
+    "overtaking": (((1.3, -1, 148.7), (2.0, -1, 172.5)), 190, 78.0),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_shifts_of_given_waves(name: str) -> None:
+    """Exact waves are lowered and shifted as they cross, the second one not at once."""
+    pair, grains, end = PAIRS[name]
+    chain = Chain(grains=grains, **HOST)
+    unit = chain.time_scale
+    still = Profile(velocity=np.zeros(grains))
+    scene = Scene(chain=chain, excitation=still, duration=end * unit, samples=int(12 * end))
+    t = simulate(scene, "native", 1e-3)
+    time = t.time[:, None] / unit
+    (c1, way1, x1), (c2, way2, x2) = pair
+    met = (x2 - x1) / (way1 * c1 - way2 * c2)
+    later = time > met
+    given = np.array([0.31, -0.17])
+    motion = np.zeros((t.time.size, grains))
+    heights = []
+    for (speed, way, place), shift in zip(pair, given, strict=True):
+        wave = soliton.solve(speed=speed)
+        slow = 0.0 if shift > 0 else 0.02 * np.exp(-np.abs(time - met) / 6)
+        gone = speed * time + later * (shift + slow)
+        reach = np.linspace(-20.0, 20.0, 801)
+        shape = make_interp_spline(reach, wave.velocity(reach), 5)
+        height = shape(np.clip(way * (t.grains - place) - gone, -20.0, 20.0))
+        motion += way * np.where(later, 0.9, 1.0) * height
+        heights.append(float(wave.velocity(0.0)))
+    scale = chain.length_scale / unit
+    made = replace(t, velocity=scale * motion)
+    found = collision.find(made, 1.0 * unit)
+    assert found.head_on == (name == "head-on")
+    assert found.time == pytest.approx(met * unit, rel=1e-4)
+    assert found.place == pytest.approx(x1 + way1 * c1 * met, abs=0.01)
+    assert found.way.tolist() == [way1, way2]
+    assert found.speed * unit == pytest.approx([c1, c2], rel=1e-5)
+    assert found.exact_speed * unit == pytest.approx([c1, c2], rel=1e-4)
+    assert found.velocity / scale == pytest.approx(heights, rel=1e-4)
+    assert found.velocity_after / found.velocity == pytest.approx([0.9, 0.9], rel=1e-4)
+    assert (np.abs(found.shift - given) <= found.shift_error).all()
+    assert found.shift_error[0] < 1e-3
+    assert found.shift_error[1] < 0.02
+    assert found.speed_after * unit == pytest.approx([c1, c2], rel=1e-4)
+    for law in ("toda", "kdv"):
+        if law == "kdv" and found.head_on:
+            assert np.isnan(found.kdv).all()
+            continue
+        options = (found.head_on,) if law == "toda" else ()
+        expected = [getattr(theory, law)(*each, *options) for each in ((c1, c2), (c2, c1))]
+        assert getattr(found, law) == pytest.approx(expected, rel=1e-3)
+    axes = found.plot()
+    assert axes.get_title("left") == name
+    for k, (before, after, shift, theories) in enumerate((axes.lines[:4], axes.lines[4:8])):
+        assert before.get_ydata() == pytest.approx(np.zeros(len(before.get_ydata())), abs=1e-3)
+        assert after.get_ydata() == pytest.approx(given[[k] * len(after.get_ydata())], abs=1e-2)
+        assert before.get_xdata().max() < found.time < after.get_xdata().min()
+        assert shift.get_ydata()[0] == found.shift[k]
+        assert theories.get_ydata()[0] == found.toda[k]
+        label = f"wave {k + 1}: {found.shift[k]:.5g} ± {found.shift_error[k]:.1g} grains"
+        assert shift.get_label() == label
+        assert theories.get_label() == f"wave {k + 1} in Toda's chain: {found.toda[k]:.5g}"
+    assert axes.lines[8].get_xdata()[0] == found.time
 
 
 def test_waves_that_do_not_meet_are_rejected() -> None:
