@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.example_scenes import scene_of
+from matplotlib.collections import PolyCollection
 from matplotlib.ticker import LogLocator
 
 from lmpchain import Chain, Impulse, Profile, simulate
@@ -15,6 +17,7 @@ from lmpchain.measure.contact import ContactHistory, Signal
 from lmpchain.measure.fit.column import ContinuumFit, ExponentFit, FrontLaw
 from lmpchain.measure.fit.inverse import ParameterFit, Trace
 from lmpchain.measure.fit.solitary import SolitonFit
+from lmpchain.measure.fit.table import FittedNumber
 from lmpchain.measure.fit.waves import BesselFit, ModeFit
 from lmpchain.measure.front import Exponents, Front, PowerLaw
 from lmpchain.measure.spectrum import (
@@ -269,9 +272,14 @@ def test_the_continuum_and_the_law_of_the_front():
         0.8,
         1.25,
         0.5,
-        np.ones(3),
+        np.array([0.02, 0.03, 0.1]),
         np.array([5 / 6, 1.2]),
     )
+    rows = [
+        FittedNumber("continuum", "exponent of the front", 0.8, 0.02, 5 / 6),
+        FittedNumber("continuum", "factor of the front", 1.25, 0.03, 1.2),
+    ]
+    assert list(law.rows()) == rows
     curve = 1.25 * depth**0.8 * (1 + 0.5 / depth)
     axes = law.plot()
     assert_lines(axes, (depth, time), (depth, time - law.shift), (depth, curve))
@@ -285,7 +293,12 @@ def test_the_continuum_and_the_law_of_the_front():
     )
     cone = np.array([100.0, 400, 900])
     values = np.array([0.7, 0.6, 0.5])
-    fit = ContinuumFit(1.15, 0.02, 1.155, 0.1, np.array([1, 2, 2]), cone, values, values, 0.0, None)
+    fit = ContinuumFit(1.15, 0.02, 1.155, 0.1, np.array([1, 2, 2]), cone, values, values, 0.1, law)
+    names = ["amplitude C of Eq. (35)", *(row.quantity for row in rows), "residual"]
+    assert [row.quantity for row in fit.rows()] == names
+    first, *_, last = replace(fit, front=None).rows()
+    assert (first.value, first.error, first.expected) == (1.15, 0.02, 1.155)
+    assert (last.value, last.expected) == (0.1, 0.0)
     axes = fit.plot()
     relative = values * cone**0.1 / 1.155 - 1
     fitted = 1.15 / 1.155 - 1
@@ -315,7 +328,13 @@ def test_exponents_relative_to_those_of_a_weak_wave():
     points = [line for line in axes.lines if line.get_marker() == "o"]
     heights = [4 / 15 - 0.25, 0.8 - 5 / 6]
     assert [point.get_ydata()[0] for point in points] == pytest.approx(heights, abs=1e-12)
-    assert min(point.get_xdata()[0] for point in points) > 40
+    assert [point.get_xdata()[0] for point in points] == pytest.approx([48, 1.06 * 48])
+    assert axes.lines[0].get_ydata() == [0, 0]
+    (band,) = (shape for shape in axes.collections if isinstance(shape, PolyCollection))
+    edges = band.get_paths()[0].vertices
+    for place, height, off in zip(depth, above, error, strict=True):
+        ends = edges[edges[:, 0] == place, 1]
+        assert (ends.min(), ends.max()) == pytest.approx((height - off, height + off), rel=1e-12)
     assert len({point.get_color() for point in points}) == 2
     assert labels(axes) == ["law of weak waves", "velocity"]
     assert axes.get_xlabel() == "depth h = n − 1/2 (grains); points: at great depth"
@@ -332,17 +351,18 @@ def test_exponents_relative_to_those_of_a_weak_wave():
 @pytest.mark.parametrize(
     ("exponents", "error", "verdict"),
     [
-        ([-0.2, -0.22], 0.005, "towards the law of weak waves"),
-        ([-0.26, -0.264], 0.005, "on the law of weak waves"),
-        ([-0.1, -0.04], 0.01, "towards the law of a solitary wave without load"),
-        ([0.1, 0.001], 0.01, "on the law of a solitary wave without load"),
-        ([-0.2, -0.22], 0.02, "towards no law within these grains"),
-        ([0.1, 0.2], 0.01, "towards no law within these grains"),
+        ([-0.2, -0.21, -0.22], (0.015, 1, 0.004), "towards the law of weak waves"),
+        ([-0.2, -0.21, -0.22], (0.004, 0, 0.017), "towards no law within these grains"),
+        ([-0.26, -0.2, -0.264], (0.001, 0, 0.005), "on the law of weak waves"),
+        ([-0.1, -0.2, -0.04], (0.01, 1, 0.01), "towards the law of a solitary wave without load"),
+        ([0.1, 0.5, 0.001], (0, 0, 0.01), "on the law of a solitary wave without load"),
+        ([0.1, 0.0, 0.2], (0.01, 0, 0.01), "towards no law within these grains"),
     ],
 )
-def test_the_approached_law(exponents: list[float], error: float, verdict: str):
-    depth = np.array([20.0, 40.0])
-    local = Exponents("amplitude", depth, np.array(exponents), np.full(2, error), depth)
+def test_the_approached_law(exponents: list[float], error: tuple[float, ...], verdict: str):
+    """The first and the last exponent count, each with its own error."""
+    depth = np.array([20.0, 30.0, 40.0])
+    local = Exponents("amplitude", depth, np.array(exponents), np.array(error), depth)
     fit = ExponentFit({}, {"velocity": -4 / 15}, {"velocity": local})
     assert fit.approach("velocity") == verdict
 
