@@ -1,5 +1,6 @@
 """Waves and responses of harmonically driven chains, against exact solutions and SciPy."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import product
 
@@ -119,6 +120,23 @@ def test_strong_waves_have_the_phase_of_exact_travelling_waves(
     error = found.phase_error + abs(squeezed - exact)
     shift = abs(exact - found.linear_phase)
     assert abs(found.phase - exact) < error < 0.2 * shift
+
+
+def test_errors_include_the_error_of_the_trajectory() -> None:
+    """An error e of all displacements changes cos k by (4/pi) e (1 + |cos k|) / a at most."""
+    t = long_run(1.5, 0.02)
+    chain = t.scene.chain
+    known, unsure = (
+        harmonic.wave(replace(t, error_estimate=replace(t.error_estimate, solver=error)))
+        for error in (0.0, 1e-3)
+    )
+    off = 4 / np.pi * 1e-3 * np.abs(t.displacement).max()
+    change = off * (1 + np.cos(known.phase)) / np.abs(unsure.amplitude).mean()
+    for name in ("phase", "decay"):
+        more = getattr(unsure, f"{name}_error") - getattr(known, f"{name}_error")
+        assert more == pytest.approx(change / np.sin(known.phase), rel=0.1)
+    more = unsure.strain_error - known.strain_error
+    assert more == pytest.approx(2 * off / chain.equilibrium_overlap[0], rel=0.1)
 
 
 def test_one_overlap_explains_three_phases_of_an_unknown_chain() -> None:
@@ -323,9 +341,15 @@ def test_the_error_covers_a_transient_that_hardly_decays() -> None:
 def test_pictures_have_labels_and_unsuitable_runs_are_rejected() -> None:
     """The picture has labelled axes; a burst or a few grains give no wavenumber."""
     t = long_run(1.5, 0.02)
-    axes = harmonic.wave(t).plot()
-    assert axes.get_xlabel()
-    assert axes.get_ylabel()
+    found = harmonic.wave(t)
+    axes = found.plot()
+    assert axes.get_xlabel() == "grain, from the top"
+    assert axes.get_ylabel() == "phase lag less that of linear waves (rad)"
+    slope = found.phase - found.linear_phase
+    line = slope * (found.grain - found.grain[0])
+    for each in axes.lines[:2]:
+        assert np.array_equal(each.get_xdata(), found.grain)
+        assert each.get_ydata() == pytest.approx(line, abs=0.05 * np.abs(line).max())
     with pytest.raises(InputError, match="are needed"):
         harmonic.wave(t, first=10, last=14)
     with pytest.raises(InputError, match="leave grains to measure"):
