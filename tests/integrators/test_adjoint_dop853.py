@@ -67,24 +67,24 @@ def runs(chain: Chain, excitation: Excitation, units: float = 6.0) -> Scene:
 
 
 OVERLAP = float(CHAIN.contacts.overlap.max())
-TONE = {"amplitude": 0.2 * OVERLAP, "frequency": 0.1 * CHAIN.band_edge}
+TONE = {"amplitude": OVERLAP, "frequency": 0.1 * CHAIN.band_edge}
 WALLED = CHAIN.replace(top="wall", exponent=2.0)
 TOUCHING = CHAIN.replace(top="wall", top_load=0.0)
 LOOSE = CHAIN.replace(gravity=0.0, load_grain=3)
 RUNS = {
-    "struck": runs(CHAIN, Impulse(velocity=1e-3, grain=2)),
-    "pushed": runs(CHAIN, Force(grain=3, amplitude=2e-3, frequency=0.1 * CHAIN.band_edge)),
+    "struck": runs(CHAIN, Impulse(velocity=0.1, grain=2)),
+    "pushed": runs(CHAIN, Force(grain=3, amplitude=0.1, frequency=0.1 * CHAIN.band_edge)),
     "driven": runs(CHAIN, Drive(**TONE)),
-    "driven wall": runs(WALLED, Drive(**TONE, grain=0)),
-    "one viscosity": runs(WALLED.replace(damping={"viscoelastic": 1e-7}), Impulse(velocity=1e-3)),
+    "driven wall": runs(WALLED, Drive(**TONE | {"amplitude": 20 * OVERLAP}, grain=0)),
+    "one viscosity": runs(WALLED.replace(damping={"viscoelastic": 1e-7}), Impulse(velocity=0.3)),
     "one viscosity, driven": runs(CHAIN.replace(damping={"viscoelastic": 1e-7}), Drive(**TONE)),
     "touching wall": runs(TOUCHING, Impulse(velocity=-1e-3)),
-    "loose grains": runs(LOOSE, Impulse(velocity=1e-3)),
+    "loose grains": runs(LOOSE, Impulse(velocity=0.1)),
     "long": runs(
         Chain(
             grains=300, diameter=1e-3, top_load=0.02, damping={"viscoelastic": 1e-8, "drag": 1e3}
         ),
-        Impulse(velocity=1e-4, grain=150),
+        Impulse(velocity=0.05, grain=150),
     ),
 }
 

@@ -98,6 +98,36 @@ def test_a_pulse_stays_within_its_light_cone():
     assert np.abs(us[-1] - mirrored).max() < rounding
 
 
+@pytest.mark.parametrize("flip", [1, -1])
+def test_a_wave_that_reaches_stiffer_contacts_is_exact(rng: np.random.Generator, flip: int):
+    """The motion agrees with a sum of eigenmodes; the wave leaves a soft part of the chain."""
+    n = 150
+    stiffness = rng.uniform(0.5, 1.0, n + 1)
+    stiffness[90:] *= 40
+    mobility = rng.uniform(0.5, 1.0, n)
+    u, v = np.zeros((2, n))
+    u[80:82] = 0.3, -0.2
+    v[81] = 1.0
+    stiffness, mobility, u, v = (row[::flip].copy() for row in (stiffness, mobility, u, v))
+    root = np.sqrt(mobility)
+    pull = -generator(stiffness, np.ones(n), 0.0)[n:, :n]
+    squares, shapes = np.linalg.eigh(root[:, None] * pull * root)
+    omega = np.sqrt(squares)
+    times = np.array([0.0, 0.4, 1.0, 1.5, 6.0, 6.5, 20.0])
+    cosine, sine = np.cos(omega * times[:, None]), np.sin(omega * times[:, None])
+    of_u, of_v = (shapes.T @ (row / root) for row in (u, v))
+    true = [
+        (rows @ shapes.T) * root
+        for rows in (cosine * of_u + sine * of_v / omega, cosine * of_v - sine * omega * of_u)
+    ]
+    chain = Propagator(stiffness, mobility, 0.0, u.copy(), v.copy())
+    parts = [chain.advance(piece) for piece in (times[:4], times[4:] - times[3])]
+    for order in (0, 1):
+        field = np.concatenate([part[order] for part in parts])
+        assert np.abs(field - true[order]).max() < 2e-13 * np.abs(true[order]).max()
+    assert 0 < parts[0].reached[-1, 0] < parts[0].reached[-1, 1] < n
+
+
 def test_the_number_of_terms_depends_on_the_times():
     """Six radians of w = 2 sqrt(2) need one series of about 18 terms; 18 radians need three."""
     chains = [

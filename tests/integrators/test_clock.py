@@ -108,6 +108,17 @@ def test_steps_add_up_to_the_span_exactly():
     assert abs(sum(sizes) - Fraction(0.7)) <= Fraction(0.7) / 2**53
 
 
+def test_a_step_that_fills_the_remaining_time_ends_exactly_on_the_sample(rng: np.random.Generator):
+    """The sum of both parts of the time may have a rounding error; a kink ends a step sooner."""
+    state = np.zeros(1, STATE)[0]
+    for length, part in rng.uniform(0.1, 1.0, (100, 2)):
+        state["done"] = 0.5 * part * length
+        left = length - state["done"]
+        assert ends(Bodies(state), clock_of(length), left, left) == length
+        assert ends(Bodies(state), clock_of(length), left, 0.5 * left) < 0.9 * length
+        assert ends(Bodies(state), clock_of(length), 0.5 * left, left) < 0.9 * length
+
+
 @pytest.mark.parametrize("steps", [32, 33, 141, 1000])
 @pytest.mark.parametrize("ratio", [2, 4])
 def test_auxiliary_runs_of_many_steps_land_on_every_sample(steps: int, ratio: int):
