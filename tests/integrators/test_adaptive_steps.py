@@ -237,7 +237,15 @@ def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
 
 
 @pytest.mark.parametrize(
-    "name", ["3/2", "vacuum", "burst on grain 3", "samples of the wall", "sine of grain 1"]
+    "name",
+    [
+        "2.3 between walls",
+        "touching wall",
+        "loose grains",
+        "burst on grain 3",
+        "samples of the wall",
+        "sine of grain 1",
+    ],
 )
 def test_dop853_shortens_its_steps_where_contacts_open_as_in_plain_numpy(name: str):
     scene = SCENES[name]
