@@ -365,19 +365,52 @@ def test_a_formula_without_a_kink_shortens_no_step():
     assert not smooth.least_strain.any()
 
 
+# Laws with a kink that some contacts or grains do not have.
+CONTACT = "k*o + c*o**5 + q*max(s*o - e, 0)"
+GROUND = "k*u + c*u**5 + q*max(s*u - e, 0)"
+NUMBERS = {"k": 1e5, "q": 1e5, "c": 1e20}
+
+
 def test_all_grains_on_a_ground_are_in_the_window():
     laid = batch(column(300, ground=Law("k*u", k=1.0)))
     _, _, state = laid.place(*(field[None] for field in laid.initial))
     assert (state["first"][0], state["last"][0]) == (PAD, PAD + 304)
+    # All contacts are closed, and the force from the ground has no kink.
+    assert state["least_strain"][0] == 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"ground": Law(GROUND, **NUMBERS, s=1, e=[1e-7, 2e-7, 3e-7, 1e-7, 1e-7])},
+        {"law": Law(CONTACT, **NUMBERS, s=[0, 1, 1, 1], e=1e-7), "gravity": 0.0},
+        {"gravity": 0.0, "load_grain": 3, "damping": {"viscoelastic": 1e-8, "drag": 2.0}},
+    ],
+    ids=["ground", "formula", "loose grains"],
+)
+def test_a_batch_consists_of_the_rows_of_its_chains(options):
+    first, second = chains(**options)
+    ground = Law(GROUND, **NUMBERS, s=2, e=3e-7)
+    made = [first, second.replace(ground=ground) if "ground" in options else second]
+    force = Force(times=[0.0, 1e-6, 4e-6], force=[0.0, 1.0, 0.5], grain=3)
+    together = batch(*made, excitation=force).arrays
+    for real, chain in enumerate(made):
+        alone = batch(chain, excitation=force).arrays
+        for name, rows in together._asdict().items():
+            if np.ndim(rows) and name not in ("laws", "coefficients"):
+                assert np.array_equal(rows[real], getattr(alone, name)[0]), name
+    assert not np.array_equal(together.inverse_mass[0], together.inverse_mass[1])
 
 
 @pytest.mark.filterwarnings("error")
 def test_a_kink_that_no_motion_reaches_has_no_weight():
     """The contacts or grains with s = 0 have none; there the force at the kink is infinite."""
-    law = Law("k*o + c*o**5 + q*max(s*o - e, 0)", k=1e5, q=1e5, c=1e20, s=[0, 1, 1, 1], e=1e-7)
+    law = Law(CONTACT, **NUMBERS, s=[0, 1, 1, 1], e=1e-7)
     (weights,) = batch(column(N, gravity=0.0, law=law)).arrays.opening_weight[0]
     assert (weights[PAD : PAD + N - 1] > 0).tolist() == [False, True, True, True]
-    law = Law("k*u + c*u**5 + q*max(s*u - e, 0)", k=1e5, q=1e5, c=1e20, s=[0, 1, 1, 1, 1], e=1e-7)
-    (weights,) = batch(column(N, ground=law)).arrays.ground_kinks[0, 1]
+    law = Law(GROUND, **NUMBERS, s=[0, 1, 1, 1, 1], e=1e-7)
+    arrays = batch(column(N, ground=law)).arrays
+    assert arrays.least_strain[0] == -1
+    (weights,) = arrays.ground_kinks[0, 1]
     # The last grain is fixed.
     assert (weights[PAD : PAD + N] > 0).tolist() == [False, True, True, True, False]
