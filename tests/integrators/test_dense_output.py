@@ -127,25 +127,6 @@ def test_pieces_and_threads_do_not_change_the_bits():
         assert all(np.array_equal(field, parts[number]) for parts in shared)
 
 
-def test_samples_between_steps_include_grains_outside_the_window():
-    """Short rows are written whole, and agree with a run whose steps end on every sample."""
-    chain = Chain(grains=240, diameter=1e-3, gravity=0.0, top_load=1e-3)
-    strike = Impulse(velocity=1e-4, grain=120)
-    scene = Scene(chain=chain, excitation=strike, duration=12 / chain.band_edge, samples=13)
-    found = []
-    step = scene.duration / 48
-    for schedule in (Steps(24, 6, step, True, dense=1), Steps(8, 1, step / 2, True)):
-        stepper = NativeStepper(ChainBatch([scene]), METHODS["rkn6"], schedule, {})
-        fields = np.full((2, 1, 13, 240), np.nan)
-        stepper.fill(*fields, 0, 12, 2**62)
-        found.append(fields[:, 0, 1:])
-    between, landed = found
-    scale = np.abs(landed).max((1, 2), keepdims=True)
-    assert (np.abs(between - landed) < 1e-9 * scale).all()
-    assert not between[:, :, :40].any()
-    assert not between[:, :, 200:].any()
-
-
 def test_auxiliary_runs_are_compared_in_every_step():
     scene = scene_of(SPRING, Impulse(velocity=SPEED), 20 / OMEGA, 1001)
     candidate = Native("rkn6").propose(scene, 1e-6)
