@@ -53,11 +53,18 @@ def acted(grains: int = GRAINS // 2 + 200, **excitation: Any) -> Scene:
 
 
 def answer(
-    scene: Scene, threads: int, method: str, adaptive: bool, steps: int = 4, force: str = "auto"
+    scene: Scene,
+    threads: int,
+    method: str,
+    adaptive: bool,
+    steps: int = 4,
+    force: str = "auto",
+    initial: Any = None,
 ) -> list[Any]:
     """Return the samples and the final state, computed in pieces of three steps."""
     schedule = Steps(steps, 1, scene.duration / (scene.samples - 1) / steps, adaptive)
-    stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {}, threads)
+    batch = ChainBatch([scene], force, initial)
+    stepper = NativeStepper(batch, METHODS[method], schedule, {}, threads)
     u, v = np.zeros((2, 1, scene.samples, scene.chain.grains))
     while stepper.sample < scene.samples - 1:
         stepper.fill(u, v, 0, scene.samples - 1, 3 if steps < 50 else 777)
@@ -83,6 +90,34 @@ def test_contacts_that_open_and_close(adaptive: bool):
     scene = noisy()
     u = check_alike(scene, "rkn4", adaptive, several=(3,) if adaptive else SEVERAL)[0][0, -1]
     assert (scene.chain.equilibrium_overlap + u[:-1] - u[1:] < 0).mean() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("method", "adaptive", "grain"),
+    [
+        ("verlet", False, 0),
+        ("verlet", False, LEAST_SHARE + 44),
+        ("rkn4", True, 1),
+        ("rkn4", True, 2 * LEAST_SHARE),
+    ],
+    ids=["wall", "force near the border", "grain 1", "force in the second part"],
+)
+def test_a_forcing_of_a_chain_that_moves_everywhere(method: str, adaptive: bool, grain: int):
+    """The two threads share the chain from the beginning."""
+    scene = noisy(2 * LEAST_SHARE + 100, top="wall")
+    overlap = float(scene.chain.equilibrium_overlap[0])
+    frequency = 0.05 * scene.chain.band_edge
+    forced = scene.replace(
+        excitation=Force(frequency=frequency, amplitude=0.1, grain=grain)
+        if grain > 1
+        else Drive(frequency=frequency, amplitude=10 * overlap, grain=grain)
+    )
+    initial = tuple(field[None] for field in scene.initial())
+    one = check_alike(forced, method, adaptive, several=(2,), initial=initial)
+    free = answer(scene, 1, method, adaptive)
+    changed = np.abs(one[0][0, -1] - free[0][0, -1])
+    assert changed.argmax() == pytest.approx(grain - 1, abs=3)
+    assert changed.max() > overlap
 
 
 def test_a_law_by_formula_and_a_ground_that_changes_in_time():
