@@ -13,7 +13,7 @@ from lmpchain.integrators.kernels.contact_forces import Form
 from lmpchain.integrators.kernels.layout import (
     PAD,
 )
-from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.methods import METHODS, methods_of
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
 
@@ -248,11 +248,21 @@ def test_the_plain_form_is_inaccurate_only_for_compressed_contacts():
     assert ChainBatch([pressed]).opening_power == 1.5
 
 
-@pytest.mark.parametrize("grain", [None, 0, 1], ids=["flying", "driven wall", "driven grain"])
-@pytest.mark.parametrize("name", ["verlet", "rkn6", "dop853", "gear4"])
-def test_extremes_include_all_steps(rng: np.random.Generator, name: str, grain: int | None):
-    """Smallest overlap, nearest approach and largest motion agree with samples at every step."""
-    chain = chains(**BETWEEN)[0]
+DAMPING = {"viscoelastic": 1e-8, "drag": 1e4}
+EXTREMES = [
+    (name, grain, {}) for name in ("verlet", "rkn6", "dop853", "gear4") for grain in (None, 0, 1)
+] + [(name, None, {"damping": DAMPING}) for name in ("verlet", "dop853", "lagged-verlet")]
+
+
+@pytest.mark.parametrize(("name", "grain", "options"), EXTREMES)
+def test_extremes_include_all_steps(
+    rng: np.random.Generator, name: str, grain: int | None, options: dict
+):
+    """Smallest overlap, nearest approach and largest motion agree with samples at every step.
+
+    Grains fly, or the top wall or grain 1 is driven.
+    """
+    chain = chains(**BETWEEN, **options)[0]
     u, v = rng.uniform(-1, 1, (2, N))
     scale = chain.contacts.overlap.max()
     edge = chain.band_edge
@@ -264,7 +274,8 @@ def test_extremes_include_all_steps(rng: np.random.Generator, name: str, grain: 
         start = Profile(displacement=0.1 * u, velocity=0.1 * v)
         excitation = Drive(amplitude=scale, frequency=0.2 * edge, grain=grain, start=start)
     scene = scene_of(chain, excitation, 20 / edge, 201)
-    stepper = NativeStepper(ChainBatch([scene]), METHODS[name], Steps(1, 1, 0.1 / edge, False), {})
+    method = methods_of(chain)[name]
+    stepper = NativeStepper(ChainBatch([scene]), method, Steps(1, 1, 0.1 / edge, False), {})
     fields = np.zeros((2, 1, 201, N))
     stepper.fill(*fields, 0, 200, 2**62)
     fields[:, 0, 0] = scene.initial()
