@@ -5,6 +5,7 @@ from __future__ import annotations
 import tracemalloc
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from helpers import plain_methods as plain
@@ -17,7 +18,7 @@ from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene
 from lmpchain.integrators import adjoint, adjoint_dop853
 from lmpchain.integrators.adjoint import CHECKPOINTS, DifferentiableRun, Inputs
 from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
-from lmpchain.integrators.kernels.adjoint_rows import Way
+from lmpchain.integrators.kernels.adjoint_rows import Way, hertz_power, power, touch
 from lmpchain.integrators.methods import SPLITTINGS
 
 GRAINS = 6
@@ -346,6 +347,38 @@ def test_memory_of_derivatives_is_limited(
     of_run, _, same = derivatives()
     assert of_run < usual - 2**15
     np.testing.assert_allclose(same, masses, rtol=0, atol=1e-11 * np.abs(masses).max())
+
+
+@numba.njit
+def powers_of(s: np.ndarray, c: float, less: float, out: np.ndarray):
+    """Fill out with p by `hertz_power` and by `power`, and with p of a contact that touches."""
+    for n in range(s.size):
+        out[0, n] = hertz_power(s[n], c)
+        out[1, n] = power(s[n], c, less)
+        out[2, n], out[3, n] = touch(s[n], 3.0, less)
+
+
+def test_powers_of_overlaps_are_accurate_at_any_amplitude(rng: np.random.Generator):
+    s = 10 ** rng.uniform(-12, 1.5, 300) * rng.choice([1, -1], 300)
+    s = np.append(s[s > -1], [-1.0, 0.0])
+    out = np.zeros((4, s.size))
+    wide = s.astype(WIDE)
+    epsilon = np.finfo(float).eps
+    with np.errstate(divide="ignore"):
+        whole = np.log1p(wide)
+    for less in (0.5, 1.3):
+        powers_of(s, 1.0, less, out)
+        root = wide / (1 + np.sqrt(1 + wide))
+        for found, true in ((out[0], root), (out[1], np.expm1(less * whole))):
+            assert (np.abs(found - true) <= 4 * epsilon * np.abs(true)).all()
+        powers_of(np.abs(s), 0.0, less, out)
+        true = np.abs(wide) ** less
+        # The exponential multiplies the rounding error of its argument, up to 36.
+        assert (np.abs(out[1] - true) <= 36 * epsilon * true).all()
+        powers_of(s, 0.0, less, out)
+        true = np.maximum(wide, 0) ** less
+        both = np.array([true, 3 * wide * true])
+        assert (np.abs(out[2:] - both) <= 4 * epsilon * np.abs(both)).all()
 
 
 def test_few_terms_suffice_for_weak_waves():
