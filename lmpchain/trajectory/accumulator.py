@@ -112,10 +112,11 @@ def largest_force(contact: ViscousContact, motion: Array, h: float, window: Wind
         first = begins[numbers - begins == offset]
         size = min(4, count)
         fine = _between(motion, h, first, range(-offset, size - offset))
-        # Three samples around the interval.
-        skip = min(max(offset - 1, 0), size - 3) if size > 3 else 0
+        # Three samples around the interval, or one sample less than the run has.
+        few = min(3, size - 1)
+        skip = min(max(offset + 2 - few, 0), size - few)
         begin = skip - offset
-        rough = _between(motion, h, first + skip, range(begin, begin + min(3, size)))
+        rough = _between(motion, h, first + skip, range(begin, begin + few))
         row = np.arange(first.size)
         middle = np.full((first.size, 1), 0.5)
         reach = 0.5
