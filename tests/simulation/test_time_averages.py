@@ -1,15 +1,28 @@
 """Time averages against ensembles in closed form, and refusals."""
 
+import dataclasses
 import math
 import warnings
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 import lmpchain
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, averages
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    InputError,
+    Law,
+    Profile,
+    Scene,
+    averages,
+)
 from lmpchain.simulation import time_averages
 from lmpchain.simulation.observables import observable
+from lmpchain.simulation.time_averages import Averages
 
 
 def vacuum(grains: int, exponent: float = 1.5, **others) -> Chain:
@@ -204,17 +217,115 @@ def test_an_unreachable_tolerance_names_the_call(monkeypatch):
         averages(warm(vacuum(8)), ["kinetic_energy"], time=0.02, tolerance=1e-7)
 
 
-def test_results_are_tables_and_pictures(tmp_path):
-    found = averages(warm(vacuum(8)), ["force:3", "kinetic_energy"], time=0.02, tolerance=1e-3)
-    frame = found.to_dataframe()
-    assert list(frame["quantity"]) == ["force:3", "kinetic_energy"]
-    assert frame["mean"][0] == found.mean["force:3"]
-    assert found.plot().get_ylabel() == "force:3"
+def test_results_are_tables_and_pictures() -> None:
+    """A result with round numbers, and an interval that is unknown."""
+    names = ("force:3", "velocity:2", "equipartition")
+
+    def named(*values: object) -> dict:
+        return dict(zip(names, values, strict=True))
+
+    unknown = (-math.inf, math.inf)
+    means = np.linspace(1.0, 3.0, 512).reshape(2, 256)
+    found = Averages(
+        scene=SCENE,
+        time=1.25,
+        warm_up=0.25,
+        copies=2,
+        unit=named("N", "m/s", ""),
+        mean=named(2.0, -0.5, 1.0),
+        variance=named(4.0, 0.01, 0.0625),
+        interval=named((1.875, 2.125), unknown, (0.75, 1.25)),
+        variance_interval=named((3.0, 5.0), (0.0, math.inf), (0.05, 0.08)),
+        correlation_time=named(1e-3, math.nan, 2e-2),
+        batches=named(32, 0, 8),
+        energy_error=2e-5,
+        integrator="verlet",
+        step=1e-6,
+        middle=0.25 + (np.arange(256) + 0.5) / 256,
+        stretch_mean=named(means, -means, means),
+    )
+    assert repr(found) == (
+        "Averages(force:3 = 2 ± 0.1 N, velocity:2 = -0.5 ± unknown m/s, 1 more; over 1 s)"
+    )
+    assert [" ".join(line.split()) for line in found.table().splitlines()] == [
+        "averages over 1 s of 2 copies, after a warm-up of 0.25 s that is left out",
+        "quantity mean, 95 % variance, 95 % corr. time batches",
+        "force:3 2 ± 1.2e-01 N 4 (3 to 5) N2 0.001 s 32",
+        "velocity:2 -0.5 ± unknown m/s 0.01 (unknown) (m/s)2 too long 0",
+        "equipartition 1 ± 2.5e-01 0.0625 (0.05 to 0.08) 0.02 s 8",
+        "verlet, step 1e-06 s: intervals include the energy error of 2.0e-05",
+    ]
+    assert "copies" not in dataclasses.replace(found, copies=1).table()
+    data = found.to_json()
+    quantities = data.pop("quantities")
+    assert data == {
+        "time_s": 1.25,
+        "warm_up_s": 0.25,
+        "copies": 2,
+        "integrator": "verlet",
+        "step_s": 1e-6,
+        "energy_error": 2e-5,
+    }
+    assert quantities["velocity:2"] == {
+        "unit": "m/s",
+        "mean": -0.5,
+        "interval": [None, None],
+        "variance": 0.01,
+        "variance_interval": [0.0, None],
+        "correlation_time_s": None,
+        "batches": 0,
+    }
+    assert quantities["force:3"]["correlation_time_s"] == 1e-3
+    frame = found.to_dataframe().set_index("quantity")
+    assert list(frame.index) == list(names)
+    assert list(frame.loc["force:3"]) == ["N", 2.0, 1.875, 2.125, 4.0, 3.0, 5.0, 1e-3, 32]
+
+    axes = found.plot()
+    assert axes.get_ylabel() == "force:3"
+    assert axes.get_xlim() == (0.0, 1.25)
+    one, other, so_far = (line.get_xydata() for line in axes.lines)
+    # A point is the mean of eight stretches.
+    times = 0.25 + (np.arange(32) + 0.5) / 32
+    np.testing.assert_allclose(one[:, 0], times)
+    for row, drawn in enumerate((one, other)):
+        np.testing.assert_allclose(drawn[:, 1], means[row].reshape(32, 8).mean(1))
+    np.testing.assert_allclose(so_far[[0, -1], 1], [means[:, 0].mean(), 2.0])
+    band, left_out = (patch.get_bbox() for patch in axes.patches)
+    assert (band.y0, band.y1) == (1.875, 2.125)
+    assert (left_out.x0, left_out.x1) == (0.0, 0.25)
+    assert axes.get_title("left") + axes.get_title() == "force:3: 2 N"
+    # An unknown interval has no band.
+    wide = dataclasses.replace(found, interval=named(unknown, unknown, unknown))
+    axes = wide.plot(of="equipartition")
+    assert axes.get_title("left") + axes.get_title() == "equipartition: 1"
+    assert [patch.get_bbox().x1 for patch in axes.patches] == [0.25]
     with pytest.raises(InputError, match="of: must be one of"):
         found.plot(of="force:4")
-    assert "warm-up" in found.table()
-    assert found.warm_up == pytest.approx(0.004, rel=0.01)
+
+
+def test_intervals_include_the_energy_error() -> None:
+    """A mean shifts by twice the energy error times its distance from rest, as documented."""
+    names = ["kinetic_energy", "velocity:3"]
+    found = averages(warm(vacuum(8)), names, time=0.02, tolerance=1e-2, warm_up=0.008)
+    assert found.warm_up == pytest.approx(0.008, rel=0.01)
     assert found.time == pytest.approx(0.02, rel=0.01)
+    lasting = found.time - found.warm_up
+    np.testing.assert_allclose(np.diff(found.middle), lasting / 256, rtol=1e-9)
+    assert found.middle[0] == pytest.approx(found.warm_up + lasting / 512, rel=1e-9)
+    for name in names:
+        mean, variance = found.mean[name], found.variance[name]
+        assert mean == pytest.approx(found.stretch_mean[name].mean(), rel=1e-12)
+        half_width = found.interval[name][1] - mean
+        assert mean - found.interval[name][0] == pytest.approx(half_width, rel=1e-9)
+        shift = 2 * found.energy_error * max(abs(mean), math.sqrt(variance))
+        assert shift > 0.02 * half_width
+        # Two numbers are fitted, the mean and the effect of the energy on the stretches.
+        error = (half_width - shift) / t.ppf(0.975, found.batches[name] - 2)
+        time = found.correlation_time[name]
+        assert 2 * variance * time == pytest.approx(lasting * error**2, rel=1e-6)
+        low, high = found.variance_interval[name]
+        assert low * high == pytest.approx(variance**2, rel=1e-9)
+        assert math.log(high / variance) > 2 * found.energy_error
 
 
 SCENE = Scene(chain=vacuum(8), excitation=Impulse(velocity=1.0), duration=0.01)
@@ -233,7 +344,9 @@ COLUMN = Chain(grains=8, diameter=1e-3)
         (SCENE, {"quantities": [3]}, "quantities: must be names"),
         (SCENE, {"time": -1.0}, "time: must be a time above 0 s"),
         (SCENE, {"warm_up": 0.02}, "warm_up: must be shorter"),
+        (SCENE, {"warm_up": -1e-3}, "warm_up: must be a time above 0 s"),
         (SCENE, {"copies": 0}, "copies: must be a whole number from 1"),
+        (SCENE, {"copies": True}, "copies: must be a whole number from 1"),
         (SCENE, {"tolerance": 1e-12}, "tolerance: must be at least 1e-10"),
         (SCENE, {"tolerance": 2.0}, "tolerance: must be between 0 and 1"),
         ("scene.toml", {}, "scene: must be a Scene"),
@@ -241,6 +354,16 @@ COLUMN = Chain(grains=8, diameter=1e-3)
             SCENE.replace(chain=SCENE.chain.replace(damping={"drag": 1.0})),
             {},
             "chain.damping: averages require a motion that never ends",
+        ),
+        (
+            SCENE.replace(chain=SCENE.chain.replace(ground=Law("k*sin(u/L)", k=1.0, L=1e-6))),
+            {},
+            "chain.ground: averages support only springs to the ground",
+        ),
+        (
+            SCENE.replace(chain=SCENE.chain.replace(bottom="free")),
+            {},
+            "chain.top: grains would fly away",
         ),
         (
             SCENE.replace(chain=SCENE.chain.replace(top="free")),
