@@ -21,7 +21,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.cli.command_line import main
-from lmpchain.simulation.folder_files import strangers
+from lmpchain.simulation.folder_files import engine_of, strangers
 from lmpchain.simulation.run_folder import status
 
 SCENE = scene_of(Chain(grains=8, diameter=1e-3), Impulse(velocity=1e-4), 2e-5, 5)
@@ -103,12 +103,25 @@ def test_a_file_of_a_user_is_not_overwritten(
         assert name in refused(folder, capsys, scene, *options)
 
 
-def test_a_link_is_not_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize(
+    "make", [lambda path: path.symlink_to(path.parent / "run.json"), os.mkfifo]
+)
+def test_a_link_or_pipe_is_not_opened(
+    make: Callable[[Path], None],
+    finished: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
     scene = write(SCENE, tmp_path)
-    (tmp_path / "mine").touch()
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "status.json").symlink_to(tmp_path / "mine")
-    assert "status.json" in refused(tmp_path / "run", capsys, scene)
+    (tmp_path / "new").mkdir()
+    folder = shutil.copytree(finished, tmp_path / "run")
+    for place in (tmp_path / "new", folder):
+        (place / "status.json").unlink(missing_ok=True)
+        make(place / "status.json")
+    assert "status.json" in refused(tmp_path / "new", capsys, scene)
+    for call in (status, resume):
+        with pytest.raises(InputError, match=rf"^{folder}: .*status\.json"):
+            call(folder)
 
 
 # --- run folders with other files
@@ -145,6 +158,8 @@ def test_files_beside_a_run_are_preserved(
     ("name", "change"),
     [
         ("scene.toml", lambda text: text + "# mine"),
+        # In the encoding that is written here, this letter is not UTF-8.
+        ("scene.toml", lambda text: text + "\xff"),
         ("run.json", lambda text: text.replace("1e-06", "1e-05")),
         ("run.json", lambda text: json.dumps(json.loads(text) | {"mine": 1})),
         ("status.json", lambda text: text.replace("finished", "Finished")),
@@ -162,7 +177,7 @@ def test_changed_files_are_preserved(
 ):
     scene = write(SCENE, tmp_path)
     folder = shutil.copytree(finished, tmp_path / "run")
-    (folder / name).write_text(change((folder / name).read_text()))
+    (folder / name).write_text(change((folder / name).read_text()), encoding="latin-1")
     assert name in refused(folder, capsys, scene, "--force")
 
 
@@ -224,6 +239,14 @@ def test_an_empty_folder_is_kept_if_a_run_is_rejected(
             simulate(SCENE, "native", folder=tmp_path / name)
     assert os.listdir(tmp_path) == ["old"]
     assert os.listdir(tmp_path / "old") == []
+
+
+def test_the_engine_of_a_folder_is_read(finished: Path, tmp_path: Path):
+    assert engine_of(finished) == "native"
+    assert engine_of(tmp_path) == ""
+    for text in ("", "{}", '"engine"', "[1]", "[" * 99999):
+        (tmp_path / "run.json").write_text(text)
+        assert engine_of(tmp_path) == ""
 
 
 # --- invalid names of folders

@@ -3,6 +3,7 @@
 Warnings, files of a folder, costs of a batch.
 """
 
+import hashlib
 import json
 import signal
 import time
@@ -197,6 +198,10 @@ def test_the_status_of_a_stopped_run(tmp_path, small_blocks):
     assert kept["pid"] > 0
     first_s = kept["wall_s"]
     assert 0 < first_s < 100
+    with pytest.raises(InputError, match="contains a run already: continue it with"):
+        simulate(SCENE, "native", folder=folder)
+    with pytest.raises(InputError, match="ranks: the engine native runs on one rank"):
+        resume(folder, ranks=2)
     t = resume(folder)
     assert status(folder)["wall_s"] > first_s
     assert (status(folder)["state"], status(folder)["reason"], status(folder)["samples_done"]) == (
@@ -222,6 +227,9 @@ def test_both_checkpoints_belong_to_a_new_attempt(tmp_path, small_blocks):
     assert [len(notes["attempt"]["truncations"]) for notes, _ in kept] == [1, 1]
     assert [notes["samples"] for notes, _ in kept] == [status(folder)["samples_done"], 0]
     assert kept[1][1] == {}
+    # The hash is right, but the content is not a checkpoint.
+    (folder / "checkpoint").write_bytes(hashlib.sha256(b"nothing").digest() + b"nothing")
+    assert [checkpoint is None for checkpoint in load_checkpoints(folder)] == [True, False]
     (folder / "checkpoint").write_bytes(b"nothing")
     with pytest.warns(UserWarning, match="damaged; going on from the one before, at sample 0"):
         t = resume(folder)
@@ -409,6 +417,10 @@ def test_allowed_contents_of_a_new_folder(tmp_path):
     assert check_new(tmp_path) == tmp_path
     (tmp_path / "notes.txt").touch()
     with pytest.raises(InputError, match=r"is neither empty nor a run folder: notes\.txt was not"):
+        check_new(tmp_path)
+    for name in "abcdef":
+        (tmp_path / name).touch()
+    with pytest.raises(InputError, match=r": a, b, c, d, e and 2 more were not written by"):
         check_new(tmp_path)
     with pytest.raises(InputError, match="is a file"):
         check_new(tmp_path / "notes.txt")

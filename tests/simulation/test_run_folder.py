@@ -137,7 +137,9 @@ def test_the_log_of_lammps(integrator: str, tmp_path: Path):
     with pytest.raises(Stopped):
         simulate(scene, engine, folder=tmp_path / "run", max_wall=1e-9)
     first = (tmp_path / "run" / "log.lammps").read_text()
-    answer = resume(tmp_path / "run")
+    answer = resume(tmp_path / "run", ranks=1)
+    sessions = json.loads((tmp_path / "run" / "run.json").read_text())["sessions"]
+    assert [session["ranks"] for session in sessions] == [1, 1]
     log = (tmp_path / "run" / "log.lammps").read_text()
     assert log.startswith(first)
     assert [text.count("read_data CPU") for text in (first, log)] == [1, 2]
@@ -332,12 +334,20 @@ def test_wrong_input_leaves_no_folder(options: dict, key: str, tmp_path: Path):
 
 
 def test_an_empty_folder_can_be_used(tmp_path: Path):
-    (tmp_path / "run").mkdir()
+    """Incomplete files of a killed process are removed."""
+    parts = [
+        tmp_path / "run" / ".run.node-1-01234567.partial.json",
+        tmp_path / "run" / "trajectory.zarr" / "time" / "c" / f"0.{'a' * 32}.partial",
+    ]
+    parts[1].parent.mkdir(parents=True)
+    for part in parts:
+        part.touch()
     assert (
         main(["run", str(write(SCENE, tmp_path)), "-o", f"{tmp_path}/run", "--engine", "native"])
         == 0
     )
     assert status(tmp_path / "run")["state"] == "finished"
+    assert not any(part.exists() for part in parts)
 
 
 @pytest.mark.parametrize("said", ["Infinity", "NaN", "-1e999"])
