@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from helpers.thinned import thinned
 from scipy.signal import lfilter
+from scipy.stats import t
 
 from lmpchain.simulation.batch_means import BATCHING, correlation_of_neighbours, estimate
 
@@ -86,6 +87,38 @@ def test_the_standard_error_agrees_with_the_sequence(rng):
     exact = (1 + memory) / (1 - memory) / (BATCHING.stretches * per_stretch)
     # The mean of 400 estimates with 15 degrees of freedom each has a deviation of 1.8 %.
     assert 0.93 < np.mean(np.square(errors)) / exact < 1.07
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9, 0.96])
+def test_the_interval_is_that_of_the_amplitudes_of_cosines(
+    rng: np.random.Generator, memory: float
+) -> None:
+    """The formulas of the module, with sums over cosines and over neighbours written out."""
+    middle = (np.arange(256) + 0.5) / 256
+    for _ in range(3):
+        means = sequences(memory, 3, 8, rng).mean(-1) + 2.0
+        found = estimate(means)
+        count = found.batches // 3
+        assert count in (4, 8, 16)
+        cosines = np.sqrt(2 / 256) * np.cos(np.pi * np.arange(count)[:, None] * middle)
+        cosines[0] = 1 / 16
+        amplitudes = (means - means.mean()) @ cosines.T
+        variance = (amplitudes**2).sum() / (3 * count - 1)
+        slowest = 0.0
+        for finer in (8, 4):
+            stretches = means.reshape(3, finer * count, -1).mean(-1) - means.mean()
+            products = (stretches[:, 1:] * stretches[:, :-1]).mean()
+            correlation = products / (stretches**2).mean() + 1 / (3 * finer * count)
+            slowest = max(slowest, correlation / finer)
+            if finer == 8:
+                assert found.resemblance == pytest.approx(correlation, rel=1e-9)
+                assert correlation <= 0.5
+        # The correlation time c = 2 b r makes the spectrum s / (1 + (c w)^2) narrower.
+        widening = 1 + (2 * np.pi * slowest) ** 2 / 3
+        error = np.sqrt(widening * variance / means.size)
+        assert found.mean == pytest.approx(means.mean(), rel=1e-12)
+        assert found.error == pytest.approx(error, rel=1e-9)
+        assert found.half_width == pytest.approx(t.ppf(0.975, 3 * count - 1) * error, rel=1e-9)
 
 
 def test_a_constant_has_no_error():

@@ -312,7 +312,10 @@ def test_a_failure_is_recorded_with_its_reason(tmp_path, monkeypatch, small_bloc
     honest = run_folder.store.Writer.put
     puts = []
 
+    states = []
+
     def full(self, block):
+        states.append(status(tmp_path / "run")["state"])
         puts.append(block.samples)
         if len(puts) == 3:
             raise OSError(28, "No space left on device", str(tmp_path / "run" / "x"))
@@ -329,6 +332,11 @@ def test_a_failure_is_recorded_with_its_reason(tmp_path, monkeypatch, small_bloc
     )
     assert status(tmp_path / "run")["state"] == "failed"
     assert "No space left" in status(tmp_path / "run")["reason"]
+    # Three more blocks fit until the disk is full again, and this run says that it is running.
+    puts[:] = []
+    with pytest.raises(lmpchain.LmpchainError):
+        resume(tmp_path / "run")
+    assert states == ["running"] * 6
     monkeypatch.undo()
     assert np.array_equal(
         resume(tmp_path / "run").velocity, simulate(SCENE, "native", 1e-6).velocity

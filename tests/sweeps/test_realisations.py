@@ -189,3 +189,31 @@ def test_an_invalid_chain_is_derived_alone(spoilt: str):
     # Random contacts alone may be soft.
     expected = [True, spoilt in ("compression", "drawn"), True]
     assert undrawn.tolist() == expected
+
+
+def test_the_limits_of_drawn_numbers_are_those_of_a_chain():
+    chain = Chain(grains=3, diameter=1e-3)
+    constants = np.full((2, 2), 1e9)
+    poisson = "material.poissons_ratio"
+    with np.errstate(all="ignore"):
+        equilibria = derive_chain(chain, {"contact_constants": constants})
+        for key, value, allowed in (
+            (poisson, -1.0, False),
+            (poisson, -0.999, True),
+            (poisson, 0.5, True),
+            (poisson, 0.501, False),
+            ("material.density", 0.0, False),
+            ("material.density", 1e-3, True),
+            ("material.density", np.inf, False),
+            ("masses", np.nan, False),
+            ("diameter", 3.0, True),
+        ):
+            values = np.full((2, 3), 0.2)
+            values[1, 2] = value
+            sound = tasks._sound(chain, equilibria, {key: values})
+            assert sound.tolist() == [True, allowed], (key, value)
+        # Without gravity and load, a contact without stiffness has an equilibrium.
+        constants[1, 1] = 0.0
+        loose = chain.replace(gravity=0.0)
+        equilibria = derive_chain(loose, {"contact_constants": constants})
+        assert tasks._sound(loose, equilibria, {}).tolist() == [True, False]

@@ -274,6 +274,10 @@ def test_labels_cover_all_scenes():
     assert alike.time is not None
     assert alike.time.tolist() == [0.0, 2.5e-6, 5e-6]
     assert not alike.extra
+    # A chain of three grains has no grain 5, so its scene is not valid and contributes nothing.
+    fewer = {"recording.grains": [[2, 5]], "chain.grains": [3, 6]}
+    partly = make_labels(read_sweep({"scene": SCENE, "grid": fewer}))
+    assert partly.grains.tolist() == [2, 5]
     later = make_labels(read_sweep(ASKED | {"grid": {"recording.duration": [5e-6, 6e-6]}}))
     assert later.extra["time"].shape == (3,)
 
@@ -306,3 +310,9 @@ def test_earlier_results_are_reused_at_any_position(tmp_path: Path, monkeypatch:
     solved.clear()
     sweep(other, tmp_path)
     assert solved == [0, 2, 4, 6], "what was not kept is not known"
+    # Results that cannot be read are left alone.
+    earlier = tmp_path / read_sweep(few).name
+    (earlier / "sweep.json").write_text("[1]")
+    few["grid"]["chain.gravity"].append(7.0)
+    assert (sweep(few, tmp_path).reason == "").all()
+    assert (earlier / "results.zarr").exists()

@@ -1,5 +1,6 @@
 """Sweeps: their axes, executors, interruptions and results."""
 
+import hashlib
 import json
 import os
 import random
@@ -299,6 +300,16 @@ def test_files_are_identified_by_their_contents(tmp_path):
     after = sweep(tmp_path / "sweep.toml", tmp_path / "out").displacement
     assert len(list((tmp_path / "out").glob("*/results.zarr"))) == 2
     assert (before[:, -1, 1] != after[:, -1, 1]).all()
+    (tmp_path / "sweep.toml").write_text(
+        'scene = "scene.toml"\n[grid]\nchain.file = ["more.csv", "none.csv"]\n'
+    )
+    (tmp_path / "more.csv").write_text("diameter\n1e-3\n")
+    hashes = {
+        name: hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
+        for name in ("grains.csv", "more.csv")
+    }
+    found = read_sweep(tmp_path / "sweep.toml").source["files"]
+    assert found == hashes | {"none.csv": ""}
 
 
 def test_traces_of_instruments_are_swept(tmp_path):
@@ -426,6 +437,14 @@ def test_other_engines(tmp_path, engine, workers):
         ),
         ({"grid": {"chain.impurity.0.mass": [1e-6]}}, {"chain.impurity"}),
         ({"grid": {"chain.gravity.x": [1.0]}}, {"chain.gravity"}),
+        ({"grid": {"chain.grains.x": [1]}}, {"chain.grains.x"}),
+        (
+            {
+                "scene": SHORT | {"chain": SHORT["chain"] | {"contact_constants": [1e9] * 11}},
+                "disorder": {"m": 2, "seed": 1, "realisations": 2, "of": "diameter"},
+            },
+            {"disorder.contact_constants"},
+        ),
         ({"list": {"chain.gravity": [1.0, 2.0], "chain.grains": [5]}}, {"list.chain.grains"}),
         ({"grid": {"chain.gravity": [1.0]}, "list": {"chain.gravity": [2.0]}}, {"chain.gravity"}),
         (
@@ -597,6 +616,15 @@ def test_folders_without_a_sweep(tmp_path):
         metadata.write_text(wrong)
         with pytest.raises(InputError, match="is damaged"):
             load_sweep(tmp_path)
+    metadata.write_text(whole)
+    options = next(tmp_path.glob("*/sweep.json"))
+    for text, fault in (("[1]", "cannot be read"), ("{", "cannot be read"), ("{}", "is missing")):
+        options.write_text(text)
+        with pytest.raises(InputError, match=rf"^{options}: {fault}.*remove its folder"):
+            load_sweep(tmp_path)
+    options.unlink()
+    with pytest.raises(InputError, match=rf"^{options}: is missing"):
+        load_sweep(tmp_path)
     (tmp_path / "sweep.json").write_text("[1")
     with pytest.raises(InputError, match=r"sweep\.json"):
         load_sweep(tmp_path)
@@ -629,19 +657,27 @@ def test_any_executor_with_the_interface_of_concurrent_futures(tmp_path):
     assert contents(tmp_path / "threads") == contents(tmp_path / "serial")
 
 
-@pytest.mark.slow
 def test_a_dying_process_loses_only_its_own_task():
-    with Processes(2) as processes:
-        futures = [
-            processes.submit(os._exit, 3) if number == 4 else processes.submit(abs, number)
-            for number in range(9)
-        ]
-        for number, future in enumerate(futures):
-            if number == 4:
-                with pytest.raises(BrokenExecutor):
-                    future.result()
-            else:
-                assert future.result() == number
+    """One process solves all tasks; after it has died, another one solves the next tasks."""
+    with Processes(1) as processes:
+        first = processes.submit(os.getpid).result()
+        dying, other, power = (
+            processes.submit(function, *values, **named)
+            for function, values, named in (
+                (os._exit, (3,), {}),
+                (os.getpid, (), {}),
+                (pow, (3,), {"exp": 4}),
+            )
+        )
+        with pytest.raises(BrokenExecutor):
+            dying.result()
+        assert other.result() not in (first, os.getpid())
+        assert power.result() == 81
+        children = psutil.Process().children()
+        assert other.result() in [child.pid for child in children]
+    with pytest.raises(RuntimeError):
+        processes.submit(os.getpid)
+    assert not psutil.pid_exists(other.result())
 
 
 @pytest.mark.slow
