@@ -224,7 +224,7 @@ def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> flo
     Decks that lmpchain writes may draw grains with a diameter of a few overlaps, because heights of
     larger grains would lose digits.
     """
-    if not first.drawn:
+    if not first.drawn or first.depths.size == 1:
         return 0.0
     chain = scene.chain
     diameters = np.diff(first.depths) - np.diff(scene.initial()[0]) + chain.equilibrium_overlap
@@ -239,6 +239,8 @@ def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> flo
 def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[str, str]:
     """Return a wrong distance or overlap in the first frame as text, or ""."""
     chain = scene.chain
+    if chain.grains == 1:
+        return "", ""
     gaps = np.diff(first.depths)
     lengths = chain.contact_lengths[1:-1]
     expected = lengths - chain.equilibrium_overlap + np.diff(scene.initial()[0])

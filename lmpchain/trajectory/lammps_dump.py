@@ -213,8 +213,10 @@ def _directions(scene: Scene, z: Array, rest: Array | None) -> list[float]:
 
     The overlaps decide, because they increase with the weight above. The differences between the
     measured distances of centres and those of the first sample of the scene vary least along the
-    column in the right direction.
+    column in the right direction. The velocity of a single grain decides later.
     """
+    if z.size == 1:
+        return [-1.0, 1.0]
     if rest is not None:
         return [1.0 if rest[-1] > rest[0] else -1.0]
     chain = scene.chain
@@ -310,6 +312,8 @@ def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGr
     count = count_atoms(path)
     if not count:
         raise InputError.at(name, "has no atoms in its first frame: dump the grains")
+    if count == 1:
+        raise InputError.at(name, "has 1 grain: a column has two or more")
     frames = read_frames(path, count, most=MOST_FRAMES, units=units)
     steps = frames.steps
     if len(steps) < 2:

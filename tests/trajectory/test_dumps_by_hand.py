@@ -122,6 +122,26 @@ def test_displacements_follow_from_heights(tmp_path: Path, up: int):
     assert other.provenance["displacement"] == "heights minus given heights"
 
 
+@pytest.mark.parametrize("columns", ["id x y z vz v_phi", "id x y z vx vy vz"])
+def test_a_single_grain_on_a_wall_is_read(tmp_path: Path, columns: str):
+    """It has no neighbour, so its velocity alone shows which way the column points."""
+    chain = Chain(grains=1, diameter=1e-3, bottom="wall", gravity=0.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=3e-6, samples=20)
+    answer = simulate(scene)
+    motion = (answer.displacement, answer.velocity)
+    for up in (1,) if "v_phi" in columns else (1, -1):
+        frames = {"rest": np.array([0.01]), "numbers": np.array([1]), "steps": range(0, 200, 10)}
+        path = dump(tmp_path / "one.dump", *motion, columns=columns, up=up, **frames)
+        for rest in (None, [0.01 * up]):
+            t = Trajectory.from_dump(path, scene, rest, axis="z")
+            assert np.array_equal(t.velocity, answer.velocity)
+            np.testing.assert_allclose(t.displacement, answer.displacement, rtol=0, atol=1e-17)
+    with pytest.raises(InputError, match=r"axis: .* give the axis of the column"):
+        Trajectory.from_dump(path, scene)
+    with pytest.raises(InputError, match="has 1 grain: a column has two or more"):
+        scene_of_run([path])
+
+
 def test_initial_displacements_are_added_to_heights(tmp_path: Path):
     scene = Scene(**SCENE.given() | {"excitation": Displacement(displacement=3e-9, grain=3)})
     u = 3e-9 * np.array([0, 0, 1, 0, 0]) + U
