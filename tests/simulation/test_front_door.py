@@ -5,6 +5,7 @@ Warnings, files of a folder, costs of a batch.
 
 import hashlib
 import json
+import re
 import signal
 import time
 import warnings
@@ -97,6 +98,50 @@ def test_a_missed_tolerance_contains_the_trajectory():
         best = simulate(SCENE, "native", 1e-16, on_miss="warn")
     assert said[0].filename == __file__
     assert best.error_estimate.total < 1e-11
+
+
+def test_a_long_run_states_what_takes_less(monkeypatch):
+    """A tenth of the accuracy costs less by the order of the method; other engines cost half."""
+
+    class Begun(Exception):
+        """The error is raised when the run begins."""
+
+    def begin(*_):
+        raise Begun
+
+    monkeypatch.setattr(engines.Native, "start", begin)
+    chain = Chain(grains=10_000, diameter=1e-3, gravity=0.0, top_load=1.0)
+    long = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1.0)
+    weak = Scene(
+        chain=chain.replace(grains=50),
+        excitation=Impulse(velocity=1e-9),
+        duration=300.0,
+        samples=11,
+    )
+    for scene, engine, tolerance, order, others in (
+        (long, Native(), 1e-6, 6, ""),
+        (long, Native("verlet"), 1e-3, 2, "native"),
+        (long, Native(), 0.2, 0, ""),
+        (weak, Native(), 1e-3, 6, "modes"),
+    ):
+        with pytest.warns(UserWarning, match="takes about") as warned, pytest.raises(Begun):
+            simulate(scene, engine, tolerance)
+        (text,) = [str(each.message) for each in warned if "takes about" in str(each.message)]
+        assert f"tolerance of {tolerance:g} takes about " in text
+        assert (f"tolerance of {10 * tolerance:g} (about " in text) == (order > 0)
+        first, *rest = (
+            float(number) * {"minutes": 60, "s": 1, "hours": 3600}[unit]
+            for number, unit in re.findall(r"about ([0-9.]+) (minutes|hours|s)\b", text)
+        )
+        if order:
+            assert first / rest[0] == pytest.approx(10 ** (1 / order), rel=0.06)
+        assert ("the engine" in text) == bool(others)
+        if others:
+            assert f"the engine {others} (about" in text
+            assert rest[-1] < first / 2
+    longer = "duration, a longer step takes less"
+    with pytest.warns(UserWarning, match=longer), pytest.raises(Begun):
+        simulate(long, Native(step=1e-8))
 
 
 def test_invalid_options():

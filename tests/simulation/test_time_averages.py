@@ -20,6 +20,7 @@ from lmpchain import (
     Scene,
     averages,
 )
+from lmpchain.engines.cost_model import TooLong, budget
 from lmpchain.simulation import time_averages
 from lmpchain.simulation.observables import observable
 from lmpchain.simulation.time_averages import Averages
@@ -206,6 +207,25 @@ def test_the_step_depends_on_the_tolerance():
     )
     assert tight.step < loose.step
     assert tight.energy_error <= 1e-5 < loose.energy_error <= 1e-2
+
+
+def test_long_averages_are_announced_by_their_steps() -> None:
+    chain = Chain(grains=12, diameter=1e-3, gravity=0, top_load=1.0, top="wall", bottom="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=2e-3)
+    asked: dict = {"quantities": ["velocity:3"], "tolerance": 1e-6}
+    with warnings.catch_warnings():
+        # A motion without chaos has infinite correlations.
+        warnings.simplefilter("ignore")
+        found = averages(scene, **asked)
+    expected_s = []
+    for copies in (1, 3):
+        with budget(1e-9), pytest.raises(TooLong) as announced:
+            averages(scene, **asked, copies=copies)
+        steps = copies * round(found.time / found.step)
+        text, _, time = str(announced.value).partition(" would take about ")
+        assert text == f"the average over {steps} steps of rkn6"
+        expected_s.append(float(time.removesuffix(" s")))
+    assert expected_s[1] / expected_s[0] == pytest.approx(3, rel=0.1)
 
 
 def test_an_unreachable_tolerance_names_the_call(monkeypatch):

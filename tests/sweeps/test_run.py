@@ -14,7 +14,8 @@ import pytest
 from helpers.example_sweeps import SCENE
 from helpers.faults import faults
 
-from lmpchain import Chain, Impulse, InputError, Scene, sweep
+from lmpchain import Chain, Impulse, InputError, Scene, engines, sweep
+from lmpchain.engines.cost_model import TooLong, budget
 from lmpchain.sweeps import run, store, tasks
 from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.results import find_recorded, make_labels
@@ -244,6 +245,21 @@ def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path):
     file.mkdir()
     with pytest.raises(InputError, match=r"is damaged .*: remove it, and sweep again"):
         run.sweep(ASKED, tmp_path)
+
+
+def test_the_expected_time_is_that_of_the_remaining_scenes(tmp_path: Path):
+    engine = engines.Native()
+    plan = read_sweep(ASKED)
+    costs = [
+        engine.propose(engine.part(tasks._alone(plan, number)), 1e-6).cost_s
+        for number in range(plan.count)
+    ]
+    for workers in (1, 4):
+        with budget(1e-9), pytest.raises(TooLong) as announced:
+            sweep(ASKED, tmp_path, workers=workers)
+        text, _, time = str(announced.value).partition(" would take about ")
+        assert text == "7 scenes by native for a tolerance of 1e-06"
+        assert float(time.removesuffix(" s")) == pytest.approx(sum(costs) / workers, rel=0.06)
 
 
 # --- labels
