@@ -247,6 +247,7 @@ def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path):
         run.sweep(ASKED, tmp_path)
 
 
+@pytest.mark.usefixtures("in_pairs")
 def test_the_expected_time_is_that_of_the_remaining_scenes(tmp_path: Path):
     engine = engines.Native()
     plan = read_sweep(ASKED)
@@ -254,12 +255,15 @@ def test_the_expected_time_is_that_of_the_remaining_scenes(tmp_path: Path):
         engine.propose(engine.part(tasks._alone(plan, number)), 1e-6).cost_s
         for number in range(plan.count)
     ]
-    for workers in (1, 4):
+    few = ASKED | {"grid": {"chain.gravity": GRAVITIES[:4]}}
+    sweep(few, tmp_path / "begun")
+    for count, workers, folder in ((7, 1, "new"), (7, 4, "new"), (3, 1, "begun")):
         with budget(1e-9), pytest.raises(TooLong) as announced:
-            sweep(ASKED, tmp_path, workers=workers)
+            sweep(ASKED, tmp_path / folder, workers=workers)
         text, _, time = str(announced.value).partition(" would take about ")
-        assert text == "7 scenes by native for a tolerance of 1e-06"
-        assert float(time.removesuffix(" s")) == pytest.approx(sum(costs) / workers, rel=0.06)
+        assert text == f"{count} scenes by native for a tolerance of 1e-06"
+        expected_s = count / 7 * sum(costs) / workers
+        assert float(time.removesuffix(" s")) == pytest.approx(expected_s, rel=0.06)
 
 
 # --- labels
