@@ -176,8 +176,13 @@ def test_copies_agree_with_a_single_run():
 def test_copies_that_stay_together_are_rejected():
     chain = Chain(grains=5, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Displacement(displacement=1e-14), duration=1e-3)
-    with pytest.raises(InputError, match="copies: are still close to each other"):
+    with pytest.raises(InputError, match=r"copies: are still close to each other after 0\.0002 s"):
         averages(scene, ["kinetic_energy"], copies=2)
+    # Without a warm-up nothing separates them, chaotic or not.
+    for warm_up in (0.0, 1e-12):
+        with pytest.raises(InputError, match=r"copies: are still close .* after 0 s"):
+            averages(warm(vacuum(10)), ["kinetic_energy"], copies=2, warm_up=warm_up)
+        assert averages(warm(vacuum(10)), ["velocity:3"], time=0.02, warm_up=warm_up).warm_up == 0
 
 
 def test_a_short_time_has_no_interval_and_states_the_remedy():
