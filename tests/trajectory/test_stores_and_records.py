@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,9 @@ import zarr
 from helpers.example_chains import column
 from helpers.example_scenes import struck
 
-from lmpchain import InputError, Scene
+from lmpchain import InputError, Scene, Trajectory, simulate
 from lmpchain.trajectory import zarr_store
+from lmpchain.trajectory.gathered import numbers
 from lmpchain.trajectory.record import (
     Block,
     Cost,
@@ -405,3 +407,38 @@ def test_stores_with_other_content_are_rejected(empty: Path):
     (store / "velocity" / "zarr.json").unlink()
     with pytest.raises(ValueError, match="velocity is not in Zarr format 3"):
         check_layout(store, SCENE)
+
+
+def test_a_finished_store_is_complete_and_belongs_to_its_scene(tmp_path: Path):
+    asked = ["peak_velocity", "arrival_time", "peak_force:2"]
+    scene = struck(column(6), 1e-3, 4e-6, 5, quantities=asked)
+    answer = simulate(scene, "native", folder=tmp_path / "run")
+    alone = simulate(scene, "native")
+    assert np.array_equal(answer.velocity, alone.velocity)
+    assert answer.gathered.keys() == alone.gathered.keys()
+    for name, values in alone.gathered.items():
+        assert np.array_equal(answer.gathered[name], values, equal_nan=True)
+    for name, place, value, fault in (
+        ("time", 4, np.nan, "the run was finished, but samples are missing"),
+        ("time", 3, 1e-6, "its times differ from those of its scene"),
+        ("grain", 0, 2, "its grains differ from those of its scene"),
+        ("velocity", (2, 1), np.nan, "samples are missing"),
+    ):
+        folder = shutil.copytree(tmp_path / "run", tmp_path / f"{name}{place}")
+        zarr.open_group(folder / NAME, mode="r+")[name][place] = value
+        with pytest.raises(InputError, match=fault):
+            np.asarray(Trajectory.load(folder).velocity)
+    written = numbers(scene, answer.gathered)
+    arrivals = answer.gathered["arrival_time"]
+    assert not np.isfinite(arrivals).all()
+    assert written["arrival_time"]["values"] == [
+        each if math.isfinite(each) else None for each in arrivals.tolist()
+    ]
+    assert written["peak_force:2"] == {
+        "values": float(answer.gathered["peak_force:2"]),
+        "errors": float(answer.gathered["peak_force:2_error"]),
+        "unit": "N",
+    }
+    assert written["peak_velocity"]["unit"] == "m/s"
+    assert written["peak_velocity"]["errors"] == answer.gathered["peak_velocity_error"].tolist()
+    json.dumps(written, allow_nan=False)

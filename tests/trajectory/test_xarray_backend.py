@@ -38,6 +38,8 @@ def test_a_run_folder_is_a_dataset(folder: Path):
         folder, engine=RunFolderBackend, drop_variables="velocity"
     ) as displacements:
         assert list(displacements) == ["displacement"]
+    with pytest.raises(TypeError, match="lmpchain has no option colour"):
+        xarray.open_dataset(folder, engine=RunFolderBackend, colour=1)
 
 
 @pytest.mark.parametrize(
