@@ -367,13 +367,14 @@ def _put(
         return
     keep = list(plan.keep)
     reason = ""
+    # The samples of a beginning are not those of the scene.
+    scene = (result.whole if isinstance(result, Beginning) else result).scene
     if isinstance(result, Beginning):
         keep = [name for name in keep if is_extreme(name)]
         reason = result.reason
         whole = result.whole
         result = result.known
     position = plan.place(task.first + row)
-    scene = result.scene
     grains = find_recorded(plan, position, scene.chain.grains)
     order = np.argsort(task.grains)
     places: dict[str, Any] = {
