@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..engines.cost_model import announce
 from ..engines.stepping.rounding import native_floor
@@ -176,7 +177,7 @@ class GradientTask(NamedTuple):
         if not np.isfinite(run.velocity).all():
             message = f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones"
             raise RunFailed(message)
-        slopes = self.objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
+        slopes = self._evaluate(scene, run, grains)
         # The gradient over the initial motion needs all grains, the others only the grains that
         # the wave reaches.
         everywhere = not {"displacement", "velocity"}.isdisjoint(self.names)
@@ -194,6 +195,15 @@ class GradientTask(NamedTuple):
         )
         return Answer(slopes.value, inputs + direct, run)
 
+    def _evaluate(self, scene: Scene, run: AnyRun | FixedRun, grains: NDArray[np.intp]) -> Slopes:
+        """Return the objective of a run; raise `InputError` unless it is finite."""
+        slopes = self.objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
+        parts = slopes.value, slopes.displacement, slopes.velocity
+        if not all(np.isfinite(part).all() for part in parts):
+            message = "has no finite value or derivative in this scene: use another one"
+            raise InputError.at("objective", message)
+        return slopes
+
     def _solve_by_differences(self, step: float, finer: int) -> Answer:
         """Return the value and its `DifferenceSlopes` by name, from runs of changed scenes."""
         grains = np.unique(self.objective.grains(self.scene))
@@ -201,8 +211,7 @@ class GradientTask(NamedTuple):
 
         def solve(scene: Scene) -> tuple[FixedRun, Slopes]:
             run = FixedRun.of(scene, self.method, step, looks, grains, self.adaptive)
-            view = Seen(scene, run.time, grains, run.displacement, run.velocity)
-            return run, self.objective(view)
+            return run, self._evaluate(scene, run, grains)
 
         run, slopes = solve(self.scene)
         terms = (slopes.displacement * run.displacement, slopes.velocity * run.velocity)

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..chain import ground
 from ..chain.contact_law import Contacts
 from ..errors import InputError, shown
 from ..scene.scene import Scene
-from ..util.arrays import Array, whole_numbers
+from ..util.arrays import Array, numbers, whole_numbers
 
 
 class Seen(NamedTuple):
@@ -52,6 +53,10 @@ class Seen(NamedTuple):
     def column(self, grain: int) -> int:
         """Return the column of a grain."""
         return int(np.flatnonzero(self.grains == grain)[0])
+
+    def columns(self, group: ArrayLike) -> list[int]:
+        """Return the columns of several grains, in the order of the group."""
+        return [self.column(grain) for grain in np.atleast_1d(group)]
 
 
 class Slopes(NamedTuple):
@@ -210,13 +215,21 @@ def check_objective(objective: object, key: str = "objective") -> None:
 AHEAD = 1e-100  # Speed of a grain far ahead of a wave, m/s.
 
 
-def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
-    """Return the given grains, and raise `InputError` if the scene lacks one of them."""
+def _check_grains(scene: Scene, group: ArrayLike) -> list[int]:
+    """Return the grains of a group, and raise `InputError` if the scene lacks one of them."""
     last = scene.chain.grains
-    whole_numbers(grains, "grains")
-    if not len(grains) or min(grains) < 1 or max(grains) > last:
-        raise InputError.at("grains", f"must be some of 1 to {last} (got {shown(list(grains))})")
+    grains: list[int] = np.atleast_1d(whole_numbers(group, "grains")).tolist()
+    if not grains or min(grains) < 1 or max(grains) > last:
+        raise InputError.at("grains", f"must be some of 1 to {last} (got {shown(grains)})")
     return grains
+
+
+def _finite(key: str, value: object) -> float:
+    """Return a finite number, and raise `InputError` for other values."""
+    number = numbers(value, key)
+    if number.ndim or not np.isfinite(number):
+        raise InputError.at(key, f"must be a finite number (got {shown(value)})")
+    return float(number)
 
 
 def _check_still(scene: Scene, contact: int) -> None:
@@ -248,13 +261,13 @@ class PeakForce:
 
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return the grains at either end of the contact."""
-        exists = scene.chain.contacts.exists
-        if not (0 <= self.contact < exists.size and exists[self.contact]):
-            numbers = np.flatnonzero(exists)
-            message = f"must be one of {numbers[0]} to {numbers[-1]} (got {shown(self.contact)})"
+        existing = np.flatnonzero(scene.chain.contacts.exists).tolist()
+        whole = isinstance(self.contact, int | np.integer) and not isinstance(self.contact, bool)
+        if not whole or self.contact not in existing:
+            message = f"must be one of {existing[0]} to {existing[-1]} (got {shown(self.contact)})"
             raise InputError.at("contact", message)
         _check_still(scene, self.contact)
-        if not self.sharpness > 0:
+        if _finite("sharpness", self.sharpness) <= 0:
             raise InputError.at("sharpness", f"must be above 0 (got {shown(self.sharpness)})")
         ends = (self.contact, self.contact + 1)
         return [grain for grain in ends if 1 <= grain <= scene.chain.grains]
@@ -303,7 +316,7 @@ class _AtTime:
 
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return the grains whose motion determines the value."""
-        if self.time is not None and not 0 <= self.time <= scene.duration:
+        if self.time is not None and not 0 <= _finite("time", self.time) <= scene.duration:
             message = f"must be from 0 to {scene.duration:g} s (got {shown(self.time)})"
             raise InputError.at("time", message)
         return _check_grains(scene, self.group)
@@ -420,6 +433,7 @@ class ArrivalTime:
 
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return the grain."""
+        _finite("velocity", self.velocity)
         return _check_grains(scene, [self.grain])
 
     def __call__(self, view: Seen) -> Slopes:
@@ -462,7 +476,7 @@ class Misfit:
     Parameters
     ----------
     group : sequence of G int
-        Grains with measured traces.
+        Grains with measured traces, in the order of the traces.
     values : (T, G) array
         Measured values, m/s or m, with one row for each sample.
     field : "velocity" or "displacement"
@@ -482,17 +496,25 @@ class Misfit:
         if self.field not in ("velocity", "displacement"):
             message = f'must be "velocity" or "displacement" (got {shown(self.field)})'
             raise InputError.at("field", message)
-        shape = scene.samples, len(self.group)
-        if np.shape(self.values) != shape:
-            message = f"must be of shape {shape}, samples and grains, not {np.shape(self.values)}"
+        grains = _check_grains(scene, self.group)
+        shape = scene.samples, len(grains)
+        values = numbers(self.values, "values")
+        if values.shape != shape:
+            message = f"must be of shape {shape}, samples and grains, not {values.shape}"
             raise InputError.at("values", message)
-        return _check_grains(scene, self.group)
+        if not np.isfinite(values).all():
+            raise InputError.at("values", "must be finite")
+        if _finite("scale", self.scale) <= 0:
+            raise InputError.at("scale", f"must be above 0 (got {shown(self.scale)})")
+        return grains
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the misfit and its derivatives."""
-        difference = (getattr(view, self.field) - self.values) / self.scale
+        columns = view.columns(self.group)
+        difference = (getattr(view, self.field)[:, columns] - self.values) / self.scale
         slopes = view.slopes(float((difference**2).sum() / 2))
-        getattr(slopes, self.field)[:] = difference / self.scale
+        # Several traces may belong to one grain.
+        np.add.at(getattr(slopes, self.field).T, columns, difference.T / self.scale)
         return slopes
 
 
@@ -558,7 +580,7 @@ class Function:
         Function of time, (T,) s, displacement, (T, G) m, and velocity, (T, G) m/s. It returns a
         number and its derivatives with respect to displacement and velocity, (T, G) each.
     group : sequence of G int
-        Numbers of the grains that the function uses.
+        Numbers of the grains that the function uses, in the order of the columns.
     dense : bool
         Whether the function needs evaluation times between the samples.
     """
@@ -569,9 +591,28 @@ class Function:
 
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return the grains whose motion determines the value."""
+        if not callable(self.function):
+            message = f"must contain a function (got {shown(self.function)})"
+            raise InputError.at("objective", message)
         return _check_grains(scene, self.group)
 
     def __call__(self, view: Seen) -> Slopes:
-        """Return the value and the derivatives that the user's function computes."""
-        value, displacement, velocity = self.function(view.time, view.displacement, view.velocity)
-        return view.slopes(float(value))._replace(displacement=displacement, velocity=velocity)
+        """Return the value and the derivatives that the user's function computes.
+
+        Raises
+        ------
+        InputError
+            If the function does not return a number and two arrays.
+        """
+        columns = view.columns(self.group)
+        motion = view.displacement[:, columns], view.velocity[:, columns]
+        found = self.function(view.time, *motion)
+        shape = motion[0].shape
+        if not isinstance(found, tuple) or [np.shape(part) for part in found] != [(), shape, shape]:
+            message = f"its function must return a number and two arrays of shape {shape}"
+            raise InputError.at("objective", message)
+        value, *derivatives = (numbers(part, "objective") for part in found)
+        slopes = view.slopes(float(value))
+        for slope, derivative in zip(slopes[1:3], derivatives, strict=True):
+            np.add.at(slope.T, columns, derivative.T)
+        return slopes

@@ -250,6 +250,68 @@ def test_a_misfit_is_half_the_sum_of_squares():
     assert value(scene, Misfit([1], 0 * traces, "displacement")) == pytest.approx(lengths, rel=1e-6)
 
 
+@pytest.mark.parametrize("group", [[3, 1], [2, 2]])
+def test_the_columns_of_traces_and_functions_have_the_order_of_the_group(group: list[int]):
+    """A misfit is the sum of those of its traces, and a function of v is a momentum over mass."""
+    scene = scene_of(Chain(grains=4, diameter=1e-3), Impulse(velocity=1e-4), 1e-5, 6)
+    traces = 1e-4 * np.array([np.sin(np.arange(6)), np.cos(np.arange(6))]).T
+
+    def found(objective: Any) -> tuple[float, np.ndarray]:
+        value, slopes, _ = at_step(scene, objective, ["contact_constants"], METHOD, 1e-7)
+        return value, slopes["contact_constants"]
+
+    for field, scale in (("velocity", 1.0), ("displacement", 1e-6)):
+        values = scale * traces
+        whole = found(Misfit(group, values, field))
+        parts = [found(Misfit([n], values[:, [k]], field)) for k, n in enumerate(group)]
+        assert whole[0] == pytest.approx(parts[0][0] + parts[1][0], rel=1e-12)
+        assert whole[1] == pytest.approx(parts[0][1] + parts[1][1], rel=1e-9)
+
+    def speeds(
+        time: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        slope = np.zeros(v.shape)
+        slope[-1] = 1.0, 5.0
+        return float(v[-1, 0] + 5 * v[-1, 1]), np.zeros(u.shape), slope
+
+    value, slope = found(Function(speeds, group))
+    mass = scene.chain.masses[0]
+    parts = [found(Momentum([n])) for n in group]
+    assert value == pytest.approx((parts[0][0] + 5 * parts[1][0]) / mass, rel=1e-12)
+    assert slope == pytest.approx((parts[0][1] + 5 * parts[1][1]) / mass, rel=1e-9)
+
+
+NONE = np.zeros((9, 1))
+
+
+@pytest.mark.parametrize(
+    ("objective", "message"),
+    [
+        (PeakForce(1.0), r"contact: must be one of 1 to 1 \(got 1\.0\)"),
+        (PeakForce("1"), r"contact: must be one of 1 to 1 \(got '1'\)"),
+        (PeakForce(True), r"contact: must be one of 1 to 1 \(got True\)"),
+        (PeakForce(1, np.inf), r"sharpness: must be a finite number \(got inf\)"),
+        (PeakForce(1, "2"), "sharpness: must be numbers, not text"),
+        (Momentum([1], "0"), "time: must be numbers, not text"),
+        (Momentum([1], [0.0]), r"time: must be a finite number \(got \[0\.0\]\)"),
+        (Momentum(3), r"grains: must be some of 1 to 2 \(got \[3\]\)"),
+        (ArrivalTime(1, np.nan), r"velocity: must be a finite number \(got nan\)"),
+        (Misfit([1], NONE + np.nan), "values: must be finite"),
+        (Misfit([1], NONE, scale=0.0), r"scale: must be above 0 \(got 0\.0\)"),
+        (Misfit([1], NONE, scale=-1.0), "scale: must be above 0"),
+        (Function(3.0, [1]), r"objective: must contain a function \(got 3\.0\)"),
+        (Function(lambda *_: 3.0, [1]), r"objective: .* two arrays of shape \(9, 1\)"),
+        (Function(lambda *_: (3.0, NONE[0], NONE), [1]), "objective: its function must return"),
+        (Function(lambda *_: (np.nan, NONE, NONE), [1]), "objective: has no finite value or deriv"),
+        (Function(lambda *_: (1.0, NONE, NONE + np.inf), [1]), "objective: has no finite value"),
+    ],
+)
+def test_objectives_without_a_meaning_are_rejected(objective: Any, message: str):
+    with pytest.raises(InputError, match=f"^{message}"):
+        gradient(swinging(1.0, 9), objective, ["masses"], step=1e-7)
+    assert Momentum(2).grains(swinging(1.0, 9)) == Momentum([2.0]).grains(swinging(1.0, 9)) == [2]
+
+
 def test_the_work_of_a_drive_is_that_of_its_force():
     """A sine motion of grain 1 against a moving grain, by quadrature of another integrator."""
     chain = Chain(grains=3, diameter=1e-3, top_load=0.02)
