@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError, RunFailed, ToleranceNotMet, shown
 from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..measure.fit.table import Fitted, FittedNumber
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array
 from ..util.plotting import SHADES, Axes, chart, finish, letter_panels, panels, window
 from ..util.tabular import NamedColumn, Tabular
@@ -213,11 +213,15 @@ def _check_reach(scene: Scene, latest: float) -> None:
 
 
 def _check_noise(traces: Sequence[Traces]) -> None:
-    """Raise `InputError` unless all traces of different units have a given noise."""
+    """Raise `InputError` unless the traces can be weighted by their noise."""
     units = {FIELD_UNITS[trace.field] for trace in traces}
-    if len(units) > 1 and any(trace.noise is None for trace in traces):
+    unknown = [trace.noise is None for trace in traces]
+    if any(unknown) and len(units) > 1:
         reason = f"because squares of {' and '.join(sorted(units))} cannot be added"
         raise InputError.at("noise", f"must be given for each trace, {reason}")
+    if any(unknown) and not all(unknown):
+        reason = "because the traces are weighted by it"
+        raise InputError.at("noise", f"must be given for each trace or for none, {reason}")
 
 
 def fit(
@@ -266,6 +270,7 @@ def fit(
     >>> round(float(fit(measured, guess, ["velocity"]).estimate[0]), 9)
     0.001
     """
+    check_scene(scene)
     measured: list[Any] = list(traces) if isinstance(traces, list | tuple) else [traces]
     if not measured or not all(isinstance(trace, Traces) for trace in measured):
         raise InputError.at("traces", f"must be Traces, or several (got {shown(traces)})")

@@ -72,6 +72,7 @@ class Traces(Shown, Tabular):
         places = np.atleast_1d(whole_numbers(self.places, "places"))
         shape = time.size, places.size
         missing = (~np.isfinite(values)).sum()
+        noise = np.ones(()) if self.noise is None else numbers(self.noise, "noise")
         increasing = time.ndim == 1 and time.size >= 2 and np.isfinite(time).all()
         faults = []
         if not increasing or not (np.diff(time) > 0).all():
@@ -85,7 +86,11 @@ class Traces(Shown, Tabular):
         if self.field not in get_args(Field):
             message = f"must be one of {', '.join(get_args(Field))} (got {shown(self.field)})"
             faults.append(("field", message))
-        if self.noise is not None and not (numbers(self.noise, "noise") > 0).all():
+        if not places.size:
+            faults.append(("places", "must name a grain or a contact"))
+        if noise.shape not in ((), places.shape):
+            faults.append(("noise", f"must be one number or {places.size}, one for each place"))
+        elif not ((noise > 0) & np.isfinite(noise)).all():
             faults.append(("noise", f"must be above 0 (got {shown(self.noise)})"))
         if faults:
             raise InputError(faults)
@@ -138,11 +143,13 @@ class Traces(Shown, Tabular):
     def grains(self, scene: Scene) -> list[int]:
         """Return the grains that the traces need; raise `InputError` if the chain lacks one."""
         grains = scene.chain.grains
-        first = 0 if self.field == "contact" else 1
-        exists = scene.chain.contacts.exists
+        existing = np.arange(grains) + 1
+        if self.field == "contact":
+            existing = np.flatnonzero(scene.chain.contacts.exists)
         for place in self.places:
-            if not first <= place <= grains or (self.field == "contact" and not exists[place]):
-                raise InputError.at("places", f"the chain has no {place}: use {first} to {grains}")
+            if place not in existing:
+                ends = f"{existing[0]} to {existing[-1]}"
+                raise InputError.at("places", f"the chain has no {place}: use {ends}")
         offsets = {"force": (-1, 0, 1), "contact": (0, 1)}.get(self.field, (0,))
         near = {int(place) + offset for place in self.places for offset in offsets}
         return sorted(near & set(range(1, grains + 1)))

@@ -210,8 +210,9 @@ class Problem:
             when = trace.time - late
             inside = np.clip(when, 0.0, scene.duration)
             table = spline(inside)
-            # Before the strike all values are independent of the unknowns.
-            table[when < 0, 1:] = 0.0
+            # Before the strike the grains rest, at their initial displacements if these are given.
+            if trace.field == "velocity" or not scene.initial()[0].any():
+                table[when < 0] = 0.0
             value = table[:, 0]
             jacobian = np.zeros((len(self.names), *value.shape))
             if derivatives:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers import taylor_series
 
-from lmpchain import Chain, Impulse, InputError, Scene, engines, simulate
+from lmpchain import Chain, Impulse, InputError, Profile, Scene, engines, simulate
 from lmpchain.design import Traces, fit
 from lmpchain.design.unknowns import Problem
 
@@ -74,6 +74,22 @@ def test_jacobians_agree_with_differences(field: str):
         SCENE.replace(duration=1.2e-4), [traces], {"youngs_modulus": "common", "masses": [3]}
     )
     check_jacobian(problem, np.array([0.01, -0.02, 0.013, 0.1, 0.0, 0.0]), 1e-5)
+
+
+@pytest.mark.parametrize("field", ["velocity", "displacement", "contact"])
+def test_a_displaced_grain_is_held_until_it_is_released(field: str):
+    start = np.where(np.arange(10) == 3, 4e-8, 0.0)
+    scene = SCENE.replace(excitation=Profile(displacement=start))
+    traces = Traces(SCENE.time[:41], [4], np.zeros((41, 1)), field, trigger=True)  # type: ignore[arg-type]
+    problem = Problem(scene, [traces], {"displacement": [4], "contact_constants": [4]})
+    theta = np.array([0.01, 0.02, 0.0]) + problem.free(np.array([0.0, 0.0, 4.3e-6])) * [0, 0, 1]
+    (held,) = problem.predict(theta)
+    law = CHAIN.contacts
+    overlap = law.overlap[4] / 1.02 ** (2 / 3) + 1.01 * 4e-8
+    force = 1.02 * law.constant[4] * overlap**1.5 - law.force[4]
+    exact = {"velocity": 0.0, "displacement": 1.01 * 4e-8, "contact": force}[field]
+    np.testing.assert_allclose(held[:9, 0], exact, rtol=1e-9)
+    check_jacobian(problem, theta, 1e-5)
 
 
 def test_each_trace_has_its_own_strike_time():

@@ -138,6 +138,11 @@ def test_traces_of_several_units_have_separate_axes():
     silent = Traces(SCENE.time, [2, 5], noisy(3))
     with pytest.raises(InputError, match=r"noise: .* squares of N and m/s cannot be added"):
         fit([silent, force], SCENE, ["velocity"])
+    known = Traces(SCENE.time, [3], noisy(4)[:, 0], noise=NOISE[0])
+    with pytest.raises(InputError, match=r"^noise: must be given for each trace or for none"):
+        fit([silent, known], SCENE, ["velocity"])
+    with pytest.raises(InputError, match=r"^scene: must be a Scene \(got None\)"):
+        fit(known, None, ["velocity"])  # type: ignore[arg-type]
 
 
 def test_estimates_have_their_units():
@@ -237,7 +242,10 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
 
 @pytest.mark.parametrize("field", ["velocity", "displacement", "force", "contact"])
 def test_traces_are_what_another_integrator_says(field: str):
-    """Traces are delayed by a trigger, scaled by a gain and shifted by an offset."""
+    """Traces are delayed by a trigger, scaled by a gain and shifted by an offset.
+
+    Before the strike the grains rest.
+    """
     chain = CHAIN.replace(top_load=0.05)
     late = 7.3e-6
     gain = 1.3
@@ -258,7 +266,7 @@ def test_traces_are_what_another_integrator_says(field: str):
     time = scene.time[::10] + late
     time = np.concatenate(([late / 2], time))
     offset = size * np.array([0.1, -0.2, 0.3])
-    expected = gain * np.concatenate((whole[:1], whole[::10])) + offset
+    expected = gain * np.concatenate((np.zeros((1, 3)), whole[::10])) + offset
     traces = Traces(
         time, places, np.zeros((62, 3)), field, noise=2.0, trigger=True, gain=True, offset=True
     )  # type: ignore[arg-type]
@@ -275,9 +283,9 @@ def test_invalid_places_and_values_are_rejected():
     scene = SCENE.replace(chain=CHAIN.replace(top="free"))
     zeros = np.zeros(3)
     for field, place, allowed in (
-        ("velocity", 0, "1 to 6"), ("force", 7, "1 to 6"), ("contact", 7, "0 to 6"),
-        ("contact", -1, "0 to 6"),
-        ("contact", 0, "0 to 6"),
+        ("velocity", 0, "1 to 6"), ("force", 7, "1 to 6"), ("contact", 7, "1 to 6"),
+        ("contact", -1, "1 to 6"),
+        ("contact", 0, "1 to 6"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=f"^places: the chain has no {place}: use {allowed}$"):
             Traces([0, 1, 2], [place], zeros, field).grains(scene)  # type: ignore[arg-type]
@@ -301,6 +309,9 @@ def test_invalid_places_and_values_are_rejected():
         ),
         (([0.0, 1.0], [1], [0.0, 0.0], "force", 0.0), "^noise: must be above 0"),
         (([0.0, 1.0], [1, 2], np.zeros((2, 2)), "force", [1.0, -1.0]), "^noise: must be above 0"),
+        (([0.0, 1.0], [1], [0.0, 0.0], "force", np.inf), "^noise: must be above 0"),
+        (([0.0, 1.0], [1, 2], np.zeros((2, 2)), "force", [1.0]), "^noise: must be one number or 2"),
+        (([0.0, 1.0], [], np.zeros((2, 0))), "^places: must name a grain or a contact"),
     ):
         with pytest.raises(InputError, match=message):
             Traces(*given)  # type: ignore[arg-type]
