@@ -15,7 +15,7 @@ from ..engines.base import Engine, Run
 from ..engines.cost_model import announce
 from ..engines.step_control import Attempt, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
 from ..util.notebook import Shown
@@ -347,6 +347,7 @@ def ensemble(
     >>> few.velocity.shape, bool(few.velocity_error.max() > 0)
     ((2, 30), True)
     """
+    check_scene(scene)
     first = Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
     draw = Draw(scene, m, seed, law, of)
     average, options = take_average(draw, realisations, engine, tolerance, first, progress)

@@ -19,7 +19,7 @@ import numpy as np
 from ..chain.chain import Chain
 from ..chain.materials import Material
 from ..errors import InputError, not_among, shown
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array
 from ..util.validation import make_unchecked
 
@@ -62,9 +62,17 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
     (True, True)
     """
     valid = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
-    fault = None if valid else ("m", f"must be a number above 0 (got {shown(m)})")
-    check(fault, _fault_of_choice("law", law, get_args(Law)))
+    check(
+        None if valid else ("m", f"must be a number above 0 (got {shown(m)})"),
+        fault_of_whole("size", size, 0),
+        None if isinstance(rng, np.random.Generator) else ("rng", _no_generator(rng)),
+        _fault_of_choice("law", law, get_args(Law)),
+    )
     return np.maximum(rng.standard_gamma(m + (law == "paper"), size) / m, SOFTEST)
+
+
+def _no_generator(rng: object) -> str:
+    return f"must be a generator such as numpy.random.default_rng(1) (got {shown(rng)})"
 
 
 def disordered(
@@ -151,6 +159,7 @@ def realisation(
     >>> realisation(scene, 1, seed=7, index=3) == realisation(scene, 1, seed=7, index=3)
     True
     """
+    check_scene(scene)
     _check_draw(scene.chain, seed, index, of)
     zeta = _draw(scene.chain, m, seed, index, law, of)
     chain = make_unchecked(Chain, **_fields(scene.chain, zeta, of))

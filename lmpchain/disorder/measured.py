@@ -5,7 +5,7 @@ A measure is a function of a trajectory that returns a number, an array, or seve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Literal
@@ -229,15 +229,29 @@ def statistics(
         if over not in dimensions:
             raise InputError.at("over", not_among(over, dimensions))
         values = values.transpose(over, ...)
-    rows = np.asarray(values, dtype=float)
+    try:
+        rows = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        message = f"must be numbers, in rows of equal length (got {shown(values)})"
+        raise InputError.at("values", message) from None
     if rows.ndim < 1 or len(rows) < 2:
         raise InputError.at("values", "must have rows of two chains or more")
     missing = np.flatnonzero(np.isnan(rows).reshape(len(rows), -1).any(1))
     if missing.size:
         message = f"are missing for {missing.size} of {len(rows)} chains, first for {missing[0]}"
         raise InputError.at("values", f"{message}: leave them out if this causes no bias")
-    coordinate = None if x is None else numbers(x, "x")
-    return MeasuredEnsemble(rows, coordinate, np.nan, np.nan)
+    return MeasuredEnsemble(rows, _coordinate(x, rows), np.nan, np.nan)
+
+
+def _coordinate(x: ArrayLike | None, rows: Array) -> Array | None:
+    """Return the coordinate of curves, (R, P); None for numbers and for other arrays."""
+    if x is None or rows.ndim != 2:
+        return None
+    coordinate = numbers(x, "x")
+    if coordinate.shape != rows.shape[1:]:
+        message = f"must be of shape {rows.shape[1:]}, as the values, not {coordinate.shape}"
+        raise InputError.at("x", message)
+    return coordinate
 
 
 def measured_over(
@@ -364,9 +378,17 @@ def within(
         raise InputError.at("distribution", not_among(distribution, ["normal", "uniform"]))
     if not isinstance(tolerances, Mapping) or not tolerances:
         raise InputError.at("tolerances", f"must be a dict of numbers (got {shown(tolerances)})")
+    common = (common,) if isinstance(common, str) else common
+    if not isinstance(common, Collection):
+        raise InputError.at(
+            "common", f"must be names of properties of grains (got {shown(common)})"
+        )
+    for key in common:
+        if key not in OF_GRAINS:
+            raise InputError.at("common", not_among(key, tuple(OF_GRAINS)))
     widths = {}
     for key, value in tolerances.items():
-        field = key.removeprefix("excitation.")
+        field = str(key).removeprefix("excitation.")
         allowed = [*OF_GRAINS, *OF_CHAIN]
         given = scene.excitation.given()
         strengths = [
@@ -375,9 +397,11 @@ def within(
         if key not in allowed and (key == field or field not in strengths):
             names = [*allowed, *(f"excitation.{name}" for name in strengths)]
             raise InputError.at("tolerances", not_among(key, names))
-        widths[key] = float(numbers(value, f"tolerances.{key}"))
-        if not widths[key] >= 0:
-            raise InputError.at(f"tolerances.{key}", f"must be 0 or more (got {value})")
+        width = numbers(value, f"tolerances.{key}")
+        if width.ndim or not width >= 0:
+            message = f"must be one number, 0 or more (got {shown(value)})"
+            raise InputError.at(f"tolerances.{key}", message)
+        widths[key] = float(width)
 
     def scenes() -> Iterator[Scene]:
         for index in range(realisations):
@@ -440,6 +464,8 @@ def _gather(
     progress: bool,
 ) -> Any:
     """Return the statistics of a quantity of all scenes, which are run in batches."""
+    if not callable(measure):
+        raise InputError.at("measure", f"must be a function of a trajectory (got {shown(measure)})")
     rows: list[Any] = []
     model = solver = 0.0
     with ProgressBar(realisations, "measured", " chains", shown=progress) as bar:
@@ -455,22 +481,26 @@ def _gather(
                 model = max(model, answer.error_estimate.model)
                 solver = max(solver, answer.error_estimate.solver)
             bar.reach(len(rows))
-    coordinate = None if x is None else numbers(x, "x")
 
     def statistics(values: list[Any], name: str) -> MeasuredEnsemble:
+        message = f"must return numbers, or arrays of one shape{name} (got {shown(values[0])})"
+        # NumPy would convert None, the result of a function without a return, to NaN.
+        if any(value is None for value in values):
+            raise InputError.at("measure", message)
         try:
             stacked = np.array(values, dtype=float)
         except (TypeError, ValueError):
-            message = f"must return numbers, or arrays of one shape{name} (got {shown(values[0])})"
             raise InputError.at("measure", message) from None
-        return MeasuredEnsemble(stacked, coordinate, model, solver)
+        return MeasuredEnsemble(stacked, _coordinate(x, stacked), model, solver)
 
     if isinstance(rows[0], Mapping):
+        if not all(isinstance(row, Mapping) and row.keys() == rows[0].keys() for row in rows):
+            raise InputError.at("measure", "must return the same names for all chains")
         return {key: statistics([row[key] for row in rows], f" as {key}") for key in rows[0]}
     return statistics(rows, "")
 
 
 def _check_share(share: float) -> None:
     """Raise `InputError` unless the fraction of a quantile is between 0 and 1."""
-    if not 0 < share < 1:
+    if np.ndim(share) or not 0 < numbers(share, "share") < 1:
         raise InputError.at("share", f"must be between 0 and 1 (got {shown(share)})")

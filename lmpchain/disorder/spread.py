@@ -10,7 +10,7 @@ import numpy as np
 from .. import engines
 from ..engines.base import Engine
 from ..errors import InputError, shown
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array
 from ..util.plotting import Axes, chart, finish
 from ..util.tabular import Tabular
@@ -164,6 +164,7 @@ def spreading(
     >>> spread.second_moment.shape, spread.transmitted.shape, f"{spread.participation[0]:.3f}"
     ((5,), (5, 61), '1.000')
     """
+    check_scene(scene)
     scene.chain.refuse_ground("the spreading of energy")
     if scene.at_rest or scene.excitation.does_work:
         message = "must give the chain energy at t = 0 and must not act afterwards"

@@ -168,6 +168,13 @@ def test_options_that_are_wrong(change, key):
     assert fault_keys(ensemble, weakly_struck(), **options) == [key]
 
 
+def test_chains_are_drawn_by_a_generator():
+    for change in ({"rng": 1}, {"rng": None}, {"size": -1}, {"size": 2.0}):
+        options: dict[str, Any] = {"m": 2, "size": 3, "rng": generator()} | change
+        assert fault_keys(factors, **options) == list(change)
+    assert fault_keys(ensemble, None, 2, 3, 1) == fault_keys(realisation, None, 2, 1) == ["scene"]
+
+
 # --- averages
 
 

@@ -219,6 +219,8 @@ def test_pictures_have_labels(rng: np.random.Generator) -> None:
         ({"colour": 1.0}, "colour"),
         ({"excitation.times": 1.0}, "excitation.times"),
         ({"top_load": -1.0}, "0 or more"),
+        ({"top_load": [1.0, 2.0]}, r"tolerances\.top_load: must be one number, 0 or more"),
+        ({3: 1.0}, r"^tolerances: must be .* \(got 3\)"),
         ({"diameter": 1.0}, "so wide"),
     ],
 )
@@ -236,3 +238,35 @@ def test_wrong_measures_are_refused() -> None:
         measured_over(SHORT, lambda t: "word", 5, 3, seed=1)
     with pytest.raises(InputError, match="realisations"):
         measured_over(SHORT, lambda t: 0.0, 5, 1, seed=1)
+    for measure, match in (
+        (None, r"^measure: must be a function of a trajectory \(got None\)"),
+        (lambda t: None, r"^measure: must return numbers, .* \(got None\)"),
+        (lambda t: {str(t.scene.chain.masses[0]): 1.0}, "^measure: must return the same names"),
+        (lambda t: t.velocity[-1], r"^x: must be of shape \(4,\), as the values, not \(2,\)"),
+    ):
+        with pytest.raises(InputError, match=match):
+            measured_over(SHORT, measure, 5, 2, seed=1, of="mass", x=[0.0, 1.0])
+
+
+@pytest.mark.parametrize("common", [("diameters",), "masses", 3, None])
+def test_common_properties_of_grains_are_known(common: Any) -> None:
+    """A misspelt property was drawn for each grain."""
+    with pytest.raises(InputError, match="^common: must be "):
+        within(SHORT, {"diameter": 1e-6}, lambda t: 0.0, 3, seed=1, common=common)
+
+
+@pytest.mark.parametrize(
+    ("values", "x", "match"),
+    [
+        ("abc", None, r"^values: must be numbers, in rows of equal length \(got 'abc'\)"),
+        ([[1.0, 2.0], [3.0]], None, "^values: must be numbers, in rows of equal length"),
+        ([[1.0, 2.0], [3.0, 4.0]], [1.0, 2.0, 3.0], r"^x: must be of shape \(2,\)"),
+    ],
+)
+def test_values_without_statistics_are_refused(values: Any, x: Any, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        statistics(values, x=x)
+    assert len(statistics([1.0, 2.0], x=[1.0, 2.0]).to_dataframe()) == 1
+    for share in ("half", [0.5], 0.0, 1.0, np.nan):
+        with pytest.raises(InputError, match="^share: must be"):
+            statistics([1.0, 2.0]).quantile(share)  # type: ignore[arg-type]
