@@ -251,7 +251,7 @@ def test_wrong_measures_are_refused() -> None:
 @pytest.mark.parametrize("common", [("diameters",), "masses", 3, None])
 def test_common_properties_of_grains_are_known(common: Any) -> None:
     """A misspelt property was drawn for each grain."""
-    with pytest.raises(InputError, match="^common: must be "):
+    with pytest.raises(InputError, match=r"^common: must be "):
         within(SHORT, {"diameter": 1e-6}, lambda t: 0.0, 3, seed=1, common=common)
 
 
@@ -268,5 +268,5 @@ def test_values_without_statistics_are_refused(values: Any, x: Any, match: str) 
         statistics(values, x=x)
     assert len(statistics([1.0, 2.0], x=[1.0, 2.0]).to_dataframe()) == 1
     for share in ("half", [0.5], 0.0, 1.0, np.nan):
-        with pytest.raises(InputError, match="^share: must be"):
+        with pytest.raises(InputError, match=r"^share: must be"):
             statistics([1.0, 2.0]).quantile(share)  # type: ignore[arg-type]
