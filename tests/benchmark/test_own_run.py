@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from lmpchain import (
     check_deck,
     simulate,
 )
+from lmpchain.benchmark import cures as remedies
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
 from lmpchain.engines.lammps.column import LammpsColumn
@@ -93,6 +95,18 @@ def test_each_cure_reaches_its_error_and_longer_steps_do_not(dump: Path):
         if cure.integrator == "verlet" and per_sample > 5:
             longer = simulate(small(), Native("verlet", interval / round(0.8 * per_sample)))
             assert true_error(small(), (longer.displacement, longer.velocity)) > cure.target
+
+
+def test_an_error_that_no_short_run_reaches_has_no_step(monkeypatch: pytest.MonkeyPatch):
+    run = simulate(small(), Native("verlet", STEP))
+    monkeypatch.setattr(remedies, "SEARCH", replace(remedies.SEARCH, cost_s=0.0))
+    found = check(run)
+    missing = [cure for cure in found.cures if np.isnan(cure.step_s)]
+    assert (1e-6, "verlet") in {(cure.target, cure.integrator) for cure in missing}
+    assert all((cure.steps, cure.diameter) == (0, "physical") for cure in missing)
+    assert np.isnan([(cure.error, cure.heights) for cure in missing]).all()
+    lines = [line.split() for line in found.table().splitlines()]
+    assert ["1e-06", "verlet", "none"] in lines
 
 
 def test_the_energy_is_that_of_the_motion(tmp_path: Path):

@@ -65,6 +65,15 @@ def test_the_transformation_is_that_of_hall() -> None:
     np.testing.assert_array_equal(alike.interval, np.ones((2, 2)))
 
 
+@pytest.mark.parametrize(
+    ("chains", "low", "high"), [(5, -np.inf, np.inf), (10, 2, 9), (20, 6, 15), (40, 14, 27)]
+)
+def test_the_interval_of_a_median_is_that_of_tables(chains: int, low: float, high: float) -> None:
+    """The ends are order statistics (W. J. Conover, Practical Nonparametric Statistics)."""
+    found = MeasuredEnsemble(np.arange(chains, 0.0, -1.0), None, 0.0, 0.0)
+    assert found.quantile_interval(0.5) == (low, high)
+
+
 def test_drawn_factors_come_back() -> None:
     """The masses of random chains have the mean and quantiles of the gamma distribution."""
     found = measured_over(
