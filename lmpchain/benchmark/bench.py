@@ -24,6 +24,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.lazy import listed
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
+from ..util.validation import check_positive
 from .chart import KNOWN, front
 from .comparison import ComparisonRow, compare
 from .curves import CurvePoint, EngineCurve, WorkPrecision
@@ -264,8 +265,7 @@ def work_precision(
     InputError
         If the budget is not a time above 0, or if the reference would take more than ten minutes.
     """
-    if not 0 < budget_s < math.inf:
-        raise InputError.at("budget", f"must be a time above 0 s (got {budget_s:g})")
+    budget_s = check_positive("budget", budget_s, "a time above 0 s")
     check_scene(scene)
     needed = expected_seconds(scene)
     if needed > EFFORT.reference_s:

@@ -14,10 +14,10 @@ from ..engines.lammps.deck import deck_steps
 from ..engines.lammps.deck_reader import read_deck
 from ..engines.lammps.engine import HEIGHTS
 from ..engines.native import Native
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..integrators.methods import BY_NAME, LAGGED, SPLITTINGS
 from ..measure import energy, front
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..trajectory.dump_frames import is_dump
 from ..trajectory.record import steps_over
 from ..trajectory.trajectory import Trajectory
@@ -250,6 +250,11 @@ def check(
     >>> found.cause, f"{found.error:.0e}"
     ('step', '4e-05')
     """
+    if scene is not None:
+        check_scene(scene)
+    if not isinstance(run, Trajectory | str | PathLike):
+        message = f"must be a trajectory, or the path of a run (got {shown(run)})"
+        raise InputError.at("run", message)
     subject = f"trajectory of {run.engine}" if isinstance(run, Trajectory) else str(run)
     answer = _read(run, scene, units)
     scene = answer.scene
@@ -287,6 +292,10 @@ def check_deck(
     InputError
         If the deck is not valid or contains unsupported commands.
     """
+    if scene is not None:
+        check_scene(scene)
+    if not isinstance(folder, str | PathLike):
+        raise InputError.at("folder", f"must be the path of a deck (got {shown(folder)})")
     deck = read_deck(folder, scene)
     scene = deck.scene
     solution = truth(scene, progress=progress)

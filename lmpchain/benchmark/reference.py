@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..chain.equilibrium import force_at_rest
 from ..errors import RunFailed
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..util.arrays import EPSILON, Array
 from ..util.lazy import listed
 
@@ -145,6 +145,7 @@ def reference(scene: Scene) -> Reference:
     RunFailed
         If steps become too short to continue.
     """
+    check_scene(scene)
     if _needs_scipy(scene):
         return _solve_by_scipy(scene)
     motion = _Motion(scene)
@@ -177,6 +178,7 @@ def expected_seconds(scene: Scene) -> float:
     float
         Expected time, s.
     """
+    check_scene(scene)
     if _needs_scipy(scene):
         evaluations = 2 * SCIPY_EVALUATIONS * (1 + scene.total_phase)
         return evaluations * (SCIPY_CALL_S + SCIPY_GRAIN_S * scene.chain.grains)

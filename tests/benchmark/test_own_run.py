@@ -27,6 +27,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.benchmark import cures as remedies
+from lmpchain.benchmark.reference import expected_seconds, reference
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
 from lmpchain.engines.lammps.column import LammpsColumn
@@ -389,6 +390,19 @@ def test_saved_runs_contain_their_scene(tmp_path: Path, monkeypatch, capsys):
         told = capsys.readouterr().err
         assert fault in told
         assert told.count("\n") == 1
+
+
+def test_runs_and_scenes_of_the_wrong_type_are_refused(dump: Path):
+    for call, message in (
+        (lambda: check(None), r"run: must be a trajectory, or the path of a run \(got None\)"),
+        (lambda: check(dump, "scene.toml"), r"scene: must be a Scene \(got 'scene\.toml'\)"),
+        (lambda: check_deck(3), r"folder: must be the path of a deck \(got 3\)"),
+        (lambda: check_deck(dump.parent, "scene.toml"), r"scene: must be a Scene"),
+        (lambda: reference(None), r"scene: must be a Scene \(got None\)"),
+        (lambda: expected_seconds(None), r"scene: must be a Scene \(got None\)"),
+    ):
+        with pytest.raises(InputError, match=f"^{message}"):
+            call()
 
 
 def test_a_dump_needs_its_scene(dump: Path, capsys):

@@ -292,7 +292,7 @@ def test_the_cheapest_way_to_an_error_has_it(found):
     assert [way.target for way in ways] == 2 * [1e-3, 1e-6, 1e-9, 1e-12]
 
 
-@pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
+@pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf, "2", True])
 def test_a_budget_limits_the_time(budget):
     with pytest.raises(InputError, match="budget"):
         work_precision(SCENE, budget)
