@@ -345,7 +345,10 @@ def _estimate(problem: Problem, theta: Array) -> _Estimate:
     square = float(residuals @ residuals)
     # Noise that is not given is estimated from the residuals.
     if not problem.noisy:
-        problem.variance = max(square, np.finfo(float).tiny) / max(freedom, 1)
+        if freedom < 1:
+            reason = f"{residuals.size} values do not show it beside {theta.size} unknowns"
+            raise InputError.at("noise", f"must be given, because {reason}")
+        problem.variance = max(square, np.finfo(float).tiny) / freedom
     problem.looks *= 2
     finer = problem.residuals(theta)[0]
     problem.looks //= 2

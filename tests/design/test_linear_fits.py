@@ -145,6 +145,21 @@ def test_traces_of_several_units_have_separate_axes():
         fit(known, None, ["velocity"])  # type: ignore[arg-type]
 
 
+def test_as_many_unknowns_as_values_need_a_given_noise():
+    """Residuals of 0 do not show the noise; the errors were 0, too."""
+    options = {"time": SCENE.time[[20, 40]], "places": [2], "values": noisy(1)[[20, 40], 0]}
+    with pytest.raises(
+        InputError,
+        match=r"^noise: must be given, because 2 values do not show it beside 2 ",
+    ):
+        fit(Traces(**options, offset=True), SCENE, ["velocity"])
+    exact = fit(Traces(**options, offset=True, noise=NOISE[0]), SCENE, ["velocity"])
+    response = wave()[[20, 40], 0]
+    # The noise of a difference over the difference of the responses.
+    assert exact.error[0] == pytest.approx(2**0.5 * NOISE[0] / abs(np.ptp(response)), rel=1e-3)
+    assert exact.freedom == 0
+
+
 def test_estimates_have_their_units():
     """Common values have a unit; a factor of different entries has none."""
     sizes = SCENE.replace(chain=CHAIN.replace(masses=CHAIN.masses * np.linspace(1, 2, 6)))

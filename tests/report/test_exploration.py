@@ -175,6 +175,22 @@ def test_a_slider_starts_at_the_value_nearest_to_the_scene(velocity: float, star
     assert (slider.log, slider.start) == (False, start)
 
 
+@pytest.mark.parametrize(
+    ("values", "log"),
+    [
+        ([1.0, 2.0, 4.0], True),
+        ([1.0, 2.0, 4.001], False),
+        ([1.0, 2.0, 99.0], False),
+        ([1.0, 2.0, 100.5], True),
+        ([0.0, 1.0, 200.0], False),
+        ([1.0, 200.0], False),
+    ],
+)
+def test_a_slider_is_logarithmic_for_constant_ratios_or_two_decades(values: list, log: bool):
+    slider = exploration._axis("chain.gravity", values, SCENE, "impulse")
+    assert (slider.log, slider.unit, slider.values) == (log, "m/s²", values)
+
+
 SAID = "document.getElementById('said').textContent"
 VALUE = "document.getElementById('value-0').textContent"
 FOCUS = "document.activeElement.id"
