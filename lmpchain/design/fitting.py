@@ -20,7 +20,7 @@ from ..util.units import FIELD_UNITS
 from ..util.validation import check_positive, check_whole
 from .parameters import as_names, changed
 from .traces import Traces
-from .unknowns import Problem
+from .unknowns import NOTHING, Problem
 
 NAMES_OF_TRACES = {
     "velocity": "velocity, downward",
@@ -254,8 +254,8 @@ def fit(
     Raises
     ------
     InputError
-        If traces, scene and parameters do not fit together, or if the traces cannot distinguish the
-        parameters.
+        If traces, scene and parameters do not fit together, if the traces cannot distinguish the
+        parameters, or if a parameter falls to a tenth of its guess.
     ToleranceNotMet
         If the step error remains too large after several halvings of the steps.
 
@@ -299,6 +299,12 @@ def fit(
     if excess > 1:
         message = "the estimates depend on the time step even if it is short: fit a shorter time"
         raise ToleranceNotMet(message)
+    # At its lower bound a parameter is not an estimate, unless it vanishes there.
+    limited = (problem.lowest > NOTHING) & (theta < problem.lowest + 1e-6)
+    if limited.any():
+        name = problem.names[int(np.flatnonzero(limited)[0])]
+        message = "the fit ends at a tenth of the guess: start from a smaller one"
+        raise InputError.at(name, message)
     estimates = problem.estimates(theta)
     # The end of a trace in the scene is known only after the strike time is fitted.
     late = [trace.time[-1] for trace in measured if trace.trigger]

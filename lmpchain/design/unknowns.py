@@ -236,6 +236,17 @@ class Problem:
             predictions.append((value, jacobian))
         return predictions
 
+    @property
+    def lowest(self) -> Array:
+        """Lower bounds of the relative changes, (K,)."""
+        lowest = np.full(len(self.names), -np.inf)
+        for index, (name, _) in enumerate(self.along):
+            # A parameter of a formula that begins at 0 may change sign.
+            free_sign = name in SIGNED or (name.startswith("chain.") and self.origin[index] == 0)
+            if not free_sign:
+                lowest[index] = NOTHING if name in MAY_VANISH else LOWEST
+        return lowest
+
     def predict(self, theta: Array) -> list[Array]:
         """Return the values of all traces in the scene, (T, G)."""
         return [value for value, _ in self._predict(theta, False)]
@@ -272,12 +283,6 @@ class Problem:
             theta[free] = rest
             return theta
 
-        lowest = np.full(len(self.names), -np.inf)
-        for index, (name, _) in enumerate(self.along):
-            # A parameter of a formula that begins at 0 may change sign.
-            free_sign = name in SIGNED or (name.startswith("chain.") and self.origin[index] == 0)
-            if not free_sign:
-                lowest[index] = NOTHING if name in MAY_VANISH else LOWEST
         # SciPy's limit on the gradient is absolute, so the residuals are scaled first.
         size = 1.0
         if all(trace.noise is None for trace in self.traces):
@@ -291,6 +296,6 @@ class Problem:
             ftol=1e-12,
             gtol=1e-12,
             max_nfev=100,
-            bounds=(lowest[free], np.inf),
+            bounds=(self.lowest[free], np.inf),
         )
         return complete(fitted.x)

@@ -92,6 +92,16 @@ def test_a_displaced_grain_is_held_until_it_is_released(field: str):
     check_jacobian(problem, theta, 1e-5)
 
 
+def test_a_guess_that_is_far_too_large_is_refused():
+    """A tenth of the guess was returned as the estimate, with an error of a few per cent."""
+    short = SCENE.replace(duration=4e-5, samples=41)
+    traces = Traces(short.time, LOOKED_AT, measured(scene=short), noise=1e-5)
+    near, far = (short.replace(chain=CHAIN.replace(top_load=load)) for load in (4.0, 20.0))
+    assert fit(traces, near, ["top_load"]).estimate[0] == pytest.approx(0.5, rel=1e-3)
+    with pytest.raises(InputError, match=r"^top_load: the fit ends at a tenth of the guess"):
+        fit(traces, far, ["top_load"])
+
+
 def test_each_trace_has_its_own_strike_time():
     """Residuals are linear within the tiny noise, so that a profile is a parabola."""
     short = SCENE.replace(duration=4e-5, samples=41)
