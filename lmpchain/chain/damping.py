@@ -188,18 +188,26 @@ class Damping(Checked):
         >>> f"{damping.viscoelastic:.3g} s"
         '5.24e-07 s'
         """
-        if not 0 < restitution <= 1:
-            fault = f"must be above 0, at most 1 (got {shown(restitution)})"
-            raise InputError.at("restitution", fault)
+        limits = "above 0, at most 1"
+        if check_positive("restitution", restitution, limits) > 1:
+            raise InputError.at("restitution", f"must be {limits} (got {shown(restitution)})")
         for key, value in (("velocity", velocity), ("diameter", diameter)):
             check_positive(key, value, "a finite number above 0")
+        exponent = check_exponent(exponent)
         try:
             sphere = one_material(material)
         except ValueError as error:
             raise InputError.at("material", str(error)) from None
         pair = two_spheres([sphere] * 2, [diameter] * 2, exponent)
-        viscosity = viscosity_of(float(restitution), float(exponent))
+        viscosity = viscosity_of(float(restitution), exponent)
         return cls(viscoelastic=viscosity * pair.time(velocity))
+
+
+def check_exponent(exponent: Any) -> float:
+    """Return the exponent of a contact force; raise `InputError` unless it is finite and from 1."""
+    if check_positive("exponent", exponent, "1 or more") < 1:
+        raise InputError.at("exponent", f"must be 1 or more (got {shown(exponent)})")
+    return float(exponent)
 
 
 def viscous_force(contacts: Contacts, viscosity: Array, overlap: Array, closing: Array) -> Array:
@@ -235,8 +243,9 @@ class Pair(NamedTuple):
 
         A collision lasts about 3 units.
         """
-        length = (self.mass * velocity**2 / self.constant) ** (1 / (self.exponent + 1))
-        return length / velocity
+        # The square of a tiny velocity would underflow.
+        power = self.exponent + 1
+        return (self.mass / self.constant) ** (1 / power) * velocity ** (2 / power - 1)
 
 
 def two_spheres(materials: Sequence[Material], diameters: Sequence[float], exponent: float) -> Pair:

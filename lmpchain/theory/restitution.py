@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
-from ..chain.damping import Pair, rebound, two_spheres
+from ..chain.damping import Pair, check_exponent, rebound, two_spheres
 from ..chain.materials import Material, one_material
 from ..errors import InputError, shown
 from ..util.arrays import Array
@@ -143,7 +143,7 @@ def series(
     most = len(COEFFICIENTS) - 1
     require(("terms", terms in range(1, most + 1), f"must be 1 to {most} (got {shown(terms)})"))
     collision = _collision(velocity, viscoelastic, material, diameter, 1.5)
-    return np.asarray(polyval(1.5 * collision.viscosity, COEFFICIENTS[: terms + 1]))
+    return np.asarray(polyval(1.5 * collision.viscosity, COEFFICIENTS[: int(terms) + 1]))
 
 
 def _collision(
@@ -164,8 +164,8 @@ def _collision(
         ("diameter", (diameters > 0) & np.isfinite(diameters), "must be finite and above 0"),
         ("diameter", diameters.shape in ((), (2,)), "must be one number, or two"),
         ("material", len(materials) == 2, "must be one material, or two"),
-        ("exponent", 1 <= exponent < np.inf, f"must be 1 or more (got {shown(exponent)})"),
     )
+    exponent = check_exponent(exponent)
     try:
         known = [one_material(value) for value in materials]
     except ValueError as error:
@@ -175,5 +175,5 @@ def _collision(
     except ValueError:
         shapes = f"{times.shape} beside velocities of {speed.shape}"
         raise InputError.at("viscoelastic", f"does not broadcast: {shapes}") from None
-    pair = two_spheres(known, np.broadcast_to(diameters, 2).tolist(), float(exponent))
+    pair = two_spheres(known, np.broadcast_to(diameters, 2).tolist(), exponent)
     return SphereCollision(pair, speed, times)

@@ -6,6 +6,7 @@ from helpers.thinned import thinned
 
 import lmpchain
 from lmpchain import Chain, patterns
+from lmpchain.chain.contact_law import dynamical_matrix
 from lmpchain.errors import InputError
 from lmpchain.theory import scattering
 
@@ -13,6 +14,7 @@ PRESSED = {"gravity": 0.0, "top_load": 20.0, "bottom": "wall"}
 UNIFORM = Chain(grains=30, diameter=1e-2, material="steel", **PRESSED)
 GROUND = lmpchain.Law("k*u", k=1e6)
 DIMER = patterns.periodic(41, 1e-2, ["steel", "ptfe"], **PRESSED)
+VISCOUS = {"viscoelastic": 0.001 / DIMER.band_edge}
 
 
 def given_back(chain: Chain, before: int, cell: int, omega: float) -> float:
@@ -25,7 +27,11 @@ def given_back(chain: Chain, before: int, cell: int, omega: float) -> float:
     drag = chain.drag[: chain.movable].astype(complex)
     # The losses of the upper layer are removed, because this end is open.
     drag[:before] = 0.0
-    matrix = np.diag(diagonal - omega**2 - 1j * omega * drag)
+    springs = chain.contacts.stiffness * chain.contact_viscosity
+    springs[: before + 1] = 0.0
+    viscous, transferred = dynamical_matrix(springs, chain.masses[: chain.movable])
+    coupling = coupling - 1j * omega * transferred
+    matrix = np.diag(diagonal - omega**2 - 1j * omega * (drag + viscous))
     matrix += np.diag(coupling, 1) + np.diag(coupling, -1)
     force = np.zeros(chain.movable)
     force[0] = 1.0
@@ -40,8 +46,8 @@ def given_back(chain: Chain, before: int, cell: int, omega: float) -> float:
 
 @pytest.mark.parametrize(
     ("chain", "cell"),
-    [(UNIFORM, 1), (DIMER, 2), (DIMER.replace(ground=GROUND), 2)],
-    ids=["uniform", "dimer", "dimer on a ground"],
+    [(UNIFORM, 1), (DIMER.replace(damping=VISCOUS), 2), (DIMER.replace(ground=GROUND), 2)],
+    ids=["uniform", "viscous dimer", "dimer on a ground"],
 )
 @pytest.mark.parametrize("bottom", ["wall", "fixed"])
 def test_reflection_equals_that_of_the_whole_linear_system(chain, cell, bottom):
@@ -124,6 +130,21 @@ def test_added_layers_continue_the_pattern_of_the_chain():
     assert (np.diff(longer.drag[29:]) > 0).all()
     odd = UNIFORM.replace(impurity=[{"grain": 15, "diameter": 2e-2}])
     assert patterns.absorbing(odd, bottom=60, top=60).impurity[0].grain == 75
+
+
+def test_a_short_layer_states_its_reflection_and_has_the_drag_of_a_power():
+    with pytest.warns(UserWarning, match="absorbing layer of 12 grains") as told:
+        absorbs = patterns.absorbing(DIMER, bottom=12)
+    low, high = scattering.reflection(absorbs, 12).bands.T[:, :, None]
+    middle = (low + np.linspace(0.1, 0.9, 61) * (high - low)).ravel()
+    wave = scattering.reflection(absorbs, 12, frequency=middle)
+    worst = 100 * np.abs(wave.amplitude).max() ** 2
+    assert f"reflects {worst:.2g} % of the energy" in str(told[0].message)
+    # The drag of each grain is that at its centre.
+    depth = (np.arange(12) + 0.5) / 12
+    power = np.diff(np.log(absorbs.drag[-12:])) / np.diff(np.log(depth))
+    assert power == pytest.approx(round(power[0]), rel=1e-10)
+    assert round(power[0]) in (2, 3, 4)
 
 
 def test_a_column_under_gravity_absorbs_at_its_bottom():

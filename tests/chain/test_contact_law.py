@@ -194,6 +194,9 @@ def test_contacts_above_a_fixed_grain() -> None:
     above = whole.above(3)
     assert above.constant.tolist() == [*whole.constant[:3], 0.0]
     assert above.force.tolist() == [*whole.force[:3], 0.0]
+    law = Law("k*o*c", k=1e5, c=[1.0, 2.0, 3.0, 4.0, 5.0])
+    listed = column(6, top="wall", top_load=1e-3, bottom="wall", law=law).contacts
+    assert listed.above(3).force_at(1e-6).tolist() == [*listed.force_at(1e-6)[:3], 0.0]
 
 
 def test_the_dynamical_matrix_is_that_of_masses_and_springs() -> None:

@@ -57,6 +57,13 @@ def test_a_ground_force_depends_on_displacement_and_time():
     np.testing.assert_allclose(law.force(u, 25e-6), 1e3 * u, atol=1e-18)
     np.testing.assert_allclose(law.force(u), 1.5e3 * u)
     assert law.stiffness(1e-6, 50e-6) == pytest.approx(500.0)
+    # s (1 + r t) + 3 b u^2 is largest at the end and at the largest displacement of either sign.
+    hardening = {"force": "s*(1 + r*t)*u + b*u**3", "r": 500.0, "b": 1e15}
+    for stiffness in (1e3, [1e3, 2e3, 0.0]):
+        growing = Law.from_table(hardening | {"s": stiffness})
+        expected = np.array(stiffness) * (1 + 500.0 * 4e-3) + 3e15 * 1e-6**2
+        found = ground.largest_stiffness(growing, 1e-6, duration=4e-3)
+        assert found == pytest.approx(expected, rel=1e-14)
 
 
 def test_parts_and_files_preserve_the_ground(tmp_path):

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import re
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -48,8 +49,11 @@ LAWS = [
     ("tanh(o)**2", {}),
     ("o**13*exp(o)", {}),
     ("sqrt(o + 1)/(o - 2)", {}),
+    # Neither a product nor a sum is expanded to more than 200 terms.
+    ("(1 + o + o**2)**6 - o**2", {}),
+    ("o**2 - (1 + o + o**2)**6", {}),
 ]
-UNKNOWN_ENERGY = (LAWS[15][0], *(text for text, _ in LAWS[-7:]))
+UNKNOWN_ENERGY = (LAWS[15][0], *(text for text, _ in LAWS[-9:]))
 PLACES = np.array([-0.7, -0.1, 0.05, 0.3, 0.9])
 LEPTON = {"max": max, "min": min, "abs": abs, "step": lambda x: float(x >= 0)}
 LEPTON |= {key: getattr(np, key) for key in ("exp", "log", "sin", "cos", "tanh", "sqrt")}
@@ -117,6 +121,16 @@ def test_a_wall_has_the_constant_of_the_contact_next_to_it() -> None:
     assert alike.wall_constants.tolist() == [2e6, 2e6]
 
 
+def test_a_law_without_a_constant_has_those_of_hertz() -> None:
+    fields: dict[str, Any] = {
+        "material": ["steel", "ptfe", "glass"], "diameter": [1e-3, 2e-3, 3e-3]
+    }  # fmt: skip
+    own = Chain(grains=3, law=Law("k*max(o, 0)**1.5*(1 + c*o)", c=0.1), bottom="wall", **fields)
+    hertz = Chain(grains=3, bottom="wall", **fields)
+    assert own.contact_constants == pytest.approx(hertz.contact_constants, rel=1e-14)
+    assert own.wall_constants == pytest.approx(hertz.wall_constants, rel=1e-14)
+
+
 # Formulas are separated by | and by line ends.
 WRONG = """a*o|k*o)|__import__('os')|o.real|o[0]|k*o+force|u*o|3|o if o else 1|lambda: 0|9**9**9*o
 1e999*o|o^2|sin*o|max(o)|o+1j|True*o|None|nan*o|ö*o|o;o|o\nk|f(o)|exp(o, o)|exp(x=o)|max(*[o])|o@o
@@ -155,6 +169,26 @@ def test_invalid_formulas_are_rejected_at_once(text: str) -> None:
     assert time.perf_counter() - begun < 0.5
 
 
+def test_every_limit_of_a_formula_is_as_documented() -> None:
+    """Length, length of names, size of numbers, depth, operations and conditions."""
+
+    def at(limit: int) -> tuple[str, ...]:
+        return (
+            "o" + " " * (999 + limit),
+            "a" * (30 + limit) + "*o",
+            f"{10 + limit}e99*o",
+            "-" * (40 + limit) + "o",
+            "max(" + ", ".join(["o"] * (199 + limit)) + ")",
+            "+".join(f"max(o, {n})" for n in range(6 + limit)),
+        )
+
+    words = ("1001 characters", "up to 30 letters", "above 1e+100", "40 levels", "200 numbers")
+    for text, wrong, said in zip(at(0), at(1), (*words, "than 6 different"), strict=True):
+        assert "o" in parse(text).names
+        with pytest.raises(InputError, match=re.escape(said)):
+            parse(wrong)
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
@@ -179,12 +213,13 @@ EXACT |= {"max": max, "min": min, "abs": abs, "step": lambda x: mp.mpf(x >= 0)}
 LAMMPS = {key: getattr(math, key) for key in ("exp", "sin", "cos", "sqrt")}
 LAMMPS |= {"abs": abs, "ln": math.log, "ternary": lambda c, a, b: a if c else b}
 FORMULAS = """o**5 - o|-o**3|(o - 2)**-3|(2*o + 3)**7|(o - 0.07)**2|max(o, 0)**0.6|max(0, o)**0.6
-max(o, 0)**3.5|2**o|(2 + o)**(o - 3)|max(0, o)**(1 + o)|3**(2*o)/(4 - o)|sqrt(2 + o)|exp(-2*o)
-log(2 + o)|sin(3*o)|cos(3*o - 1)|tanh(2*o)|(1 + o)*(2 - o)|o/(2 + o)**2|1/(o - 4)|-(o - 0.3)
-step(o - 0.2)|step(o)*(o + 1)|max(o, 0.2)|min(0.2, o)|max(0.3, 2*o)*min(2*o, o - 1)|abs(o - 0.2)
-abs(o)*o|abs(max(o, 0) - 0.4)|max(o, 0)**1.5*(1 + 3*o)|max(max(o, -0.4), 3*o, 2*o + 0.02)
+max(o, 0)**3.5|max(o, 0)**0.25|2**o|(2 + o)**(o - 3)|max(0, o)**(1 + o)|3**(2*o)/(4 - o)|sqrt(2 + o)
+exp(-2*o)|log(2 + o)|sin(3*o)|cos(3*o - 1)|tanh(2*o)|(1 + o)*(2 - o)|o/(2 + o)**2|1/(o - 4)
+-(o - 0.3)|step(o - 0.2)|step(o)*(o + 1)|max(o, 0.2)|min(0.2, o)|max(0.3, 2*o)*min(2*o, o - 1)
+abs(o - 0.2)|abs(o)*o|abs(max(o, 0) - 0.4)|max(o, 0)**1.5*(1 + 3*o)|max(max(o, -0.4), 3*o, 2*o + 0.02)
 0.1*min(o, -o) - 2*-o|step(0.2 - o)*exp(o)|sqrt(3 + max(o, 0)*o)|tanh(o)**2 - log(3 - o)*o
-sin(step(o) + o)"""
+sin(step(o) + o)|o*(max(1, 2) - min(3, 4)*step(-1) + 2**0.5 - step(0.3) - 3*step(0))
+o*(exp(0.5) - log(2) + sin(1) - cos(1) + tanh(1)*sqrt(2)/abs(-3) - (-2))"""
 
 
 @pytest.mark.parametrize("text", FORMULAS.replace("\n", "|").split("|"))
@@ -403,6 +438,23 @@ def test_hardening_on_both_sides_is_that_of_the_mean_stiffness() -> None:
     assert quintic.hardening(alone, 0.5) == pytest.approx(r**4, rel=1e-9)
     springs = Contacts.at_rest(np.array([K]), np.zeros(1), Law("k*o", k=K))
     assert (springs.length.item(), springs.law.hardening(springs, 0.5)) == (1.0, 0.0)
+
+
+def test_the_largest_force_of_a_contact_may_be_at_a_smaller_overlap() -> None:
+    """The force k o exp(-o / L) is largest at o = L, where it is k L / e."""
+    law = Law("k*max(o, 0)*exp(-o/L)", k=K, L=WIDTH)
+    for first, closest, place in ((0.0, 5.0, 1.0), (0.0, 0.5, 0.5), (2.0, 3.0, 2.0)):
+        force, bound = law.largest_force(first * WIDTH, closest * WIDTH, K)
+        assert force == pytest.approx(K * WIDTH * place * np.exp(-place), rel=1e-12)
+        # A motion may also pass smaller overlaps, which are sampled every 6 %.
+        assert force <= bound
+        assert bound == pytest.approx(
+            K * WIDTH * min(closest, 1.0) * np.exp(-min(closest, 1.0)),
+            rel=1e-3 if closest > 1 else 1e-12,
+        )
+    # The force may be largest at a kink between the sampled overlaps.
+    peaked = Law("k*(max(o, 0) - 9*max(o - L, 0))", k=K, L=0.12345 * WIDTH)
+    assert peaked.largest_force(0.0, WIDTH, K)[0] == pytest.approx(0.12345 * K * WIDTH, rel=1e-14)
 
 
 def test_a_bond_that_is_stretched_far_does_not_shorten_the_steps() -> None:

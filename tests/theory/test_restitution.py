@@ -111,13 +111,17 @@ def test_it_inverts_the_fit_of_damping():
     [
         ("velocity", 0.0),
         ("velocity", math.inf),
+        ("viscoelastic", math.inf),
         ("viscoelastic", -1e-6),
         ("viscoelastic", [1e-6, 2e-6, 3e-6]),
         ("material", "stel"),
         ("material", ["steel", "steel", "steel"]),
         ("diameter", [1e-2, 0.0]),
+        ("diameter", [1e-2, math.inf]),
         ("diameter", [1e-2] * 3),
         ("exponent", 0.5),
+        ("exponent", math.inf),
+        ("exponent", "1.5"),
     ],
 )
 def test_invalid_collisions(key, value):
@@ -129,3 +133,16 @@ def test_invalid_collisions(key, value):
 def test_the_series_has_eight_terms(terms):
     with pytest.raises(InputError, match="terms: must be 1 to 8"):
         restitution.series(1.0, 1e-6, "steel", 1e-2, terms=terms)
+
+
+def test_velocities_and_viscosities_are_combined_like_arrays():
+    """Every pair has the restitution of its own collision, and terms may be a float."""
+    speeds = np.array([[0.1], [1.0]])
+    times = np.array([1e-7, 1e-6, 2e-6])
+    for law, options in ((restitution.coefficient, {}), (restitution.series, {"terms": 3.0})):
+        together = law(speeds, times, "steel", 1e-2, **options)
+        alone = [[law(v, a, "steel", 1e-2, **options) for a in times] for v in speeds[:, 0]]
+        assert together.tolist() == np.array(alone).tolist()
+    # The loss of slow spheres tends to 0, and squares of their velocities may underflow.
+    slow = restitution.coefficient(1e-200, 1e-6, "steel", 1e-2)
+    assert slow == pytest.approx(1.0, abs=1e-11)
