@@ -465,7 +465,7 @@ def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
         return bool((x > 0).all() and np.isfinite(x).all())
 
     masses = m.ndim == 1 and m.size > 0 and positive(m)
-    carried = resonators.shape == (m.size, 2) and (resonators >= 0).all()
+    carried = resonators.shape == (m.size, 2) and _not_negative(resonators)
     require(
         ("masses", masses, "must be above 0, one per grain"),
         ("stiffness", k.shape == m.shape and positive(k), "must be above 0, one per grain"),
@@ -560,11 +560,16 @@ def _trace(inertias: NDArray[Any], springs: NDArray[Any]) -> NDArray[Any]:
     return change.trace(axis1=1, axis2=2)
 
 
+def _not_negative(values: Array) -> bool:
+    """Return whether all values are finite and 0 or more."""
+    return bool((values >= 0).all() and np.isfinite(values).all())
+
+
 def _check_ground(cell: Cell) -> Array:
     """Return the stiffness of the ground under the grains of a cell, (P,)."""
     size = np.size(cell.masses)
     ground = real(cell.ground, "ground")
-    fits = ground.shape in ((), (size,)) and bool((ground >= 0).all())
+    fits = ground.shape in ((), (size,)) and _not_negative(ground)
     require(("ground", fits, f"must be 0 or more, one number or {size}"))
     return np.broadcast_to(ground, size)
 
@@ -575,7 +580,7 @@ def _check_damping(cell: Cell) -> tuple[Array, Array]:
     values = []
     for key in ("viscoelastic", "drag"):
         x = real(getattr(cell, key), key)
-        fits = x.shape in ((), (size,)) and bool((x >= 0).all() and np.isfinite(x).all())
+        fits = x.shape in ((), (size,)) and _not_negative(x)
         require((key, fits, f"must be 0 or more, one number or {size}"))
         values.append(np.broadcast_to(x, size))
     return values[0], values[1]

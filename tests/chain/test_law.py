@@ -217,8 +217,9 @@ max(o, 0)**3.5|max(o, 0)**0.25|2**o|(2 + o)**(o - 3)|max(0, o)**(1 + o)|3**(2*o)
 exp(-2*o)|log(2 + o)|sin(3*o)|cos(3*o - 1)|tanh(2*o)|(1 + o)*(2 - o)|o/(2 + o)**2|1/(o - 4)
 -(o - 0.3)|step(o - 0.2)|step(o)*(o + 1)|max(o, 0.2)|min(0.2, o)|max(0.3, 2*o)*min(2*o, o - 1)
 abs(o - 0.2)|abs(o)*o|abs(max(o, 0) - 0.4)|max(o, 0)**1.5*(1 + 3*o)
-max(max(o, -0.4), 3*o, 2*o + 0.02)|0.1*min(o, -o) - 2*-o|step(0.2 - o)*exp(o)|sqrt(3 + max(o, 0)*o)|tanh(o)**2 - log(3 - o)*o
-sin(step(o) + o)|o*(max(1, 2) - min(3, 4)*step(-1) + 2**0.5 - step(0.3) - 3*step(0))
+max(max(o, -0.4), 3*o, 2*o + 0.02)|0.1*min(o, -o) - 2*-o|step(0.2 - o)*exp(o)
+sqrt(3 + max(o, 0)*o)|tanh(o)**2 - log(3 - o)*o|sin(step(o) + o)
+o*(max(1, 2) - min(3, 4)*step(-1) + 2**0.5 - step(0.3) - 3*step(0))
 o*(exp(0.5) - log(2) + sin(1) - cos(1) + tanh(1)*sqrt(2)/abs(-3) - (-2))"""
 
 
