@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
@@ -476,7 +476,9 @@ def averages(
 def _check(scene: Scene, quantities: Sequence[str], copies: int) -> list[str]:
     """Return the names of the quantities; raise `InputError` if one cannot be averaged."""
     check_scene(scene)
-    names = [quantities] if isinstance(quantities, str) else list(quantities)
+    names = [quantities] if isinstance(quantities, str) else []
+    with suppress(TypeError):
+        names = names or list(quantities)
     faults = []
     if not names or len(set(map(str, names))) < len(names):
         given = f'such as ["kinetic_energy", "force:10"] (got {shown(quantities)})'

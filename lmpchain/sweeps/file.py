@@ -24,7 +24,7 @@ from ..errors import InputError, check_tolerance, did_you_mean, short, shown, un
 from ..scene.scene import Scene
 from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
-from ..util.files import check_readable, expanded
+from ..util.files import check_readable, expanded, path_of
 from ..util.lazy import cached_property
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
@@ -253,7 +253,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
     """
     if isinstance(source, Mapping):
         return _plan(dict(source), Path())
-    path = expanded(source)
+    path = path_of(source, "source")
     return _plan(parse(path), path.parent)
 
 

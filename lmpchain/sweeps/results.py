@@ -19,7 +19,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, short
 from ..scene.recording import Recording
 from ..util.arrays import Array
-from ..util.files import LARGEST_JSON, check_readable, check_tree, expanded
+from ..util.files import LARGEST_JSON, check_readable, check_tree, path_of
 from ..util.remarks import warnings_aside
 from .file import FORMAT, Place, Sweep, is_name, read_text
 from .store import (
@@ -153,7 +153,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     InputError
         If the folder contains no sweep, or the sweep is damaged.
     """
-    folder = expanded(folder)
+    folder = path_of(folder)
     index = _read_json(folder / NAME)
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         index = {}

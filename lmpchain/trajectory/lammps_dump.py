@@ -16,7 +16,7 @@ from ..scene.lammps_input import LammpsInput, units_of
 from ..scene.lammps_state import RunGrains
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.files import expanded
+from ..util.files import path_of
 from .dump_checks import (
     CHECKS,
     DumpedMotion,
@@ -67,7 +67,7 @@ def read_dump(
     InputError
         If the dump cannot be read, or does not belong to the scene.
     """
-    path = expanded(path)
+    path = path_of(path, "path")
     name = str(path)
     if axis not in (None, *AXES):
         raise InputError.at(
@@ -294,7 +294,7 @@ def scene_of_run(
 
 def _sorted_files(paths: Sequence[str | PathLike[str]]) -> tuple[list[Path], list[Path]]:
     """Return the dump and the input or data file among these files, at most one of each."""
-    files = [expanded(path) for path in paths]
+    files = [path_of(path, "from") for path in paths]
     for file in files:
         if not file.is_file():
             why = "is a folder; name a file in it" if file.is_dir() else "there is no such file"

@@ -361,6 +361,8 @@ COLUMN = Chain(grains=8, diameter=1e-3)
     ("scene", "options", "fault"),
     [
         (SCENE, {"quantities": []}, "quantities: must be names"),
+        (SCENE, {"quantities": ""}, "quantities: must be"),
+        (SCENE, {"quantities": None}, "quantities: must be names"),
         (SCENE, {"quantities": ["force"]}, "quantities: must be kinetic_energy"),
         (SCENE, {"quantities": ["force:9"]}, "quantities: the contacts are numbered 0 to 8"),
         (SCENE, {"quantities": ["velocity:9"]}, "quantities: the grains that move are numbered"),

@@ -598,6 +598,14 @@ def test_an_invalid_file_name():
         )
 
 
+@pytest.mark.parametrize("name", [None, 5, b"x", "a" * 300, "a\0b"])
+def test_invalid_names_of_files_and_folders(name: Any, tmp_path):
+    with pytest.raises(InputError, match=r"^folder: "):
+        load_sweep(name)
+    with pytest.raises(InputError, match=r"^source: "):
+        sweep(name, tmp_path)
+
+
 def test_folders_without_a_sweep(tmp_path):
     with pytest.raises(InputError, match="contains no sweep"):
         load_sweep(tmp_path)

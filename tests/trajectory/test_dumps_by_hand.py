@@ -192,6 +192,12 @@ def test_frames_agree_with_the_samples(tmp_path: Path):
     assert not is_dump(tmp_path / "none")
     assert fault(tmp_path / "none") == "there is no such file"
     assert fault(tmp_path) == "is a folder; name the dump in it"
+    name: Any
+    for name in (None, 5, "a" * 300, "a\0b"):
+        with pytest.raises(InputError, match=r"^path: "):
+            Trajectory.from_dump(name, SCENE)
+        with pytest.raises(InputError, match=r"^from: "):
+            scene_of_run([name])
 
 
 def test_invalid_numbers(tmp_path: Path):
