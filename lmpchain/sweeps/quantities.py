@@ -256,6 +256,8 @@ def leave_out_unsure(arrays: dict[str, Array], names: Iterable[str]) -> list[str
         value, error = (gathered.file_name(key) for key in (name, f"{name}_error"))
         largest = np.abs(arrays[value]).max(initial=0.0, where=~np.isnan(arrays[value]))
         doubtful = arrays[error] > UNSURE * largest
+        # A value without an error is unknown, for example an arrival that the whole run lacks.
+        doubtful |= np.isnan(arrays[error]) & ~np.isnan(arrays[value])
         if doubtful.any():
             unsure.append(name)
             for key in (value, error):

@@ -9,7 +9,14 @@ from helpers.example_scenes import scene_of
 from helpers.taylor_series import reference
 
 from lmpchain import Chain, Impulse, InputError, Scene, simulate, sweep
-from lmpchain.sweeps.quantities import QUANTITIES, of_contact, quantity, with_gathered
+from lmpchain.sweeps.quantities import (
+    QUANTITIES,
+    add_rest,
+    leave_out_unsure,
+    of_contact,
+    quantity,
+    with_gathered,
+)
 
 UNITS = {
     "displacement": "m",
@@ -262,3 +269,26 @@ def test_quantities_with_a_large_error_are_omitted_with_the_reason(tmp_path: Pat
     assert "too far apart to show peak_velocity" in str(results.reason[0].values)
     assert np.isnan(results.peak_velocity).any()
     assert np.isfinite(results.velocity).all()
+
+
+def test_the_rest_of_a_run_makes_values_unsure():
+    """A value differs by the difference of two runs; one that the other run lacks is unknown."""
+    nan = np.nan
+    arrays = {
+        "arrival_time": np.array([1.0, 2.0, 3.0, 4.0, nan]),
+        "arrival_time_error": np.array([0.1, 0.1, 0.1, 0.1, nan]),
+        "peak_force_3": np.array(2.0),
+        "peak_force_3_error": np.array(0.125),
+    }
+    whole = {"arrival_time": np.array([1.0, 2.25, 3.5, nan, nan]), "peak_force_3": np.array(2.0625)}
+    add_rest(arrays, whole)
+    np.testing.assert_allclose(arrays["arrival_time_error"], [0.1, 0.35, 0.6, nan, nan])
+    assert arrays["peak_force_3_error"] == 0.1875
+    # The limit is a tenth of the largest value, 0.4.
+    assert leave_out_unsure(arrays, ["arrival_time", "peak_force:3"]) == ["arrival_time"]
+    np.testing.assert_allclose(arrays["arrival_time"], [1.0, 2.0, nan, nan, nan])
+    np.testing.assert_allclose(arrays["arrival_time_error"], [0.1, 0.35, nan, nan, nan])
+    assert arrays["peak_force_3"] == 2.0
+    arrays["peak_force_3_error"] = np.array(0.201)
+    assert leave_out_unsure(arrays, ["peak_force:3"]) == ["peak_force:3"]
+    assert np.isnan(arrays["peak_force_3"])
