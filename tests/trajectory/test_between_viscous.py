@@ -1,17 +1,22 @@
 """The largest force of viscous contacts between samples, and the motion of their bodies."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
+from scipy.interpolate import CubicHermiteSpline
 
-from lmpchain import Chain, Drive
+from lmpchain import Chain, Drive, Force, Impulse
 from lmpchain.trajectory.accumulator import STILL, Accumulator, largest_force, viscous_contact
+from lmpchain.trajectory.between.derivatives import imposed_on
 from lmpchain.trajectory.between.maxima import Window
 
 CHAIN = column(4, top="wall", bottom="wall", top_load=0.02, damping={"viscoelastic": 3e-8})
 OMEGA = 2e6
 STEP = 0.1 / OMEGA
+TABLE = np.linspace(0.0, 1.97e-5, 5)
 REST = float(CHAIN.contacts.overlap[2])
 
 
@@ -154,3 +159,68 @@ def test_swinging_grains_have_the_extremes_and_fronts_of_a_sine(chain: Chain, tr
     assert (error[:3, 1] < 0.01 * np.abs(height)[:3]).all()
     with pytest.raises(ValueError, match="does not belong to this scene"):
         start(whole.state | {"fast": np.zeros((3, 3))})
+
+
+@pytest.mark.parametrize(
+    ("excitation", "ends", "grain", "wall_body"),
+    [
+        (Impulse(velocity=1.0), {}, 0, 0),
+        (Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1.13e-5), {}, 3, 0),
+        (Force(grain=2, times=TABLE, force=[0.0, 1e-3, 2e-3, -1e-3, 1e-3]), {}, 2, 0),
+        (Drive(amplitude=1e-8, frequency=3e4), {}, 1, 0),
+        (Drive(grain=0, amplitude=1e-8, frequency=3e4, cycles=0.4), {"top": "wall"}, 0, 0),
+        (Drive(end="bottom", amplitude=1e-8, frequency=3e4), {"bottom": "wall"}, 0, 6),
+        (Drive(end="bottom", amplitude=1e-8, frequency=3e4), {"bottom": "fixed"}, 5, 0),
+        (Drive(times=TABLE, displacement=[0.0, 1e-9, 3e-9, 2e-9, 0.0]), {}, 1, 0),
+    ],
+)
+def test_imposed_motion_is_that_of_the_excitation(
+    excitation: Any, ends: dict[str, str], grain: int, wall_body: int
+):
+    """Derivatives are differences of the motion; errors cover the kinks between samples."""
+    chain = column(5, **{"top": "free", "bottom": "wall"} | ends)
+    scene = scene_of(chain, excitation, 2e-5, 41)
+    step = scene.sampling_interval
+    first, count = 3, 38
+    imposed = imposed_on(scene, step, first, count)
+    assert (imposed.grain, imposed.wall_body) == (grain, wall_body)
+    assert imposed.driven == (isinstance(excitation, Drive) and grain > 0)
+    time = scene.time[first : first + count]
+    if isinstance(excitation, Impulse):
+        assert not any(np.any(rows) for rows in imposed[:3])
+        return
+    wave = excitation.waveform
+    order, unit = 2, 1.0
+    if isinstance(excitation, Force):
+        order, unit = 0, chain.masses[grain - 1]
+    near = 1e-4 * step
+    # No kink is at a sample.
+    rows = [
+        wave.at(time, 0) if not n else (wave.at(time + near, n - 1) - wave.at(time - near, n - 1))
+        / (2 * near)
+        for n in range(order + 2)
+    ]  # fmt: skip
+    found = imposed.acceleration * unit
+    if grain == 0:
+        assert not imposed.acceleration.any()
+        found = imposed.wall[2:]
+        for row, expected in zip(imposed.wall, rows, strict=True):
+            np.testing.assert_allclose(row, expected, rtol=1e-5, atol=1e-6 * np.ptp(expected))
+    else:
+        assert not imposed.wall.any()
+        for row, expected in zip(found, rows[order:], strict=True):
+            np.testing.assert_allclose(row, expected, rtol=1e-5, atol=1e-6 * np.ptp(expected))
+    between = CubicHermiteSpline(time, *found)
+    kinks = np.array(wave.kinks)
+    for i in range(count - 1):
+        inside = (kinks > time[i]) & (kinks < time[i + 1])
+        doubt = imposed.doubt[i] * unit
+        if not inside.any():
+            assert doubt == 0.0
+            continue
+        dense = np.linspace(time[i], time[i + 1], 2001)
+        off = np.abs(wave.at(dense, order) - between(dense)).max()
+        # Jumps of the acceleration of a curve through points are left to the misfit.
+        assert off <= doubt * (1 + 1e-6) or wave.spline is not None
+        assert 0 < doubt <= 20 * off
+    assert imposed.doubt[-1] == 0.0
