@@ -78,12 +78,16 @@ def test_blocks_of_any_size_and_resumed_runs_give_the_same_bits(size: int):
     whole = Gatherer(*asked, {})
     whole.take(0, fine.displacement, fine.velocity)
     pieces = Gatherer(*asked, {})
+    pieces.take(0, fine.displacement[:0], fine.velocity[:0])  # A block without samples.
     for first in range(0, fine.time.size, size):
         rows = slice(first, first + size)
         pieces.take(first, fine.displacement[rows], fine.velocity[rows])
         pieces = Gatherer(*asked, pieces.state())
     for name, values in whole.results(1e-8).items():
         np.testing.assert_array_equal(pieces.results(1e-8)[name], values)
+    for name in ("trace", "rate", "largest"):
+        with pytest.raises(ValueError, match="the saved state does not match this run"):
+            Gatherer(*asked, whole.state() | {name: np.zeros((1, 2))})
 
 
 def test_sweeps_store_the_largest_force_on_a_wall(tmp_path):

@@ -202,9 +202,9 @@ def test_every_turn_of_a_polynomial_is_found_in_order(places: list[float], sign:
 
 
 def test_close_turns_beside_a_steep_jerk_are_found():
-    """Among 2,000 slopes of degree 5, many have several roots in a quarter of the interval."""
+    """Among 1,000 slopes of degree 5, many have several roots in a quarter of the interval."""
     several = 0
-    for _ in range(2000):
+    for _ in range(1000):
         middle = RNG.uniform(0, 1)
         width = 10 ** RNG.uniform(-1.5, 0)
         zeros = middle + width * RNG.normal(size=5)
@@ -219,7 +219,7 @@ def test_close_turns_beside_a_steep_jerk_are_found():
         assert places.size == true.size
         assert places == pytest.approx(true, abs=1e-6)
         several += places.size > 2
-    assert several > 200
+    assert several > 100
 
 
 @pytest.mark.parametrize("sign", [1, -1])
