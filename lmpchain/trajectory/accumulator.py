@@ -114,7 +114,7 @@ def largest_force(contact: ViscousContact, motion: Array, h: float, window: Wind
         fine = _between(motion, h, first, range(-offset, size - offset))
         # Three samples around the interval, or one sample less than the run has.
         few = min(3, size - 1)
-        skip = min(max(offset + 2 - few, 0), size - few)
+        skip = max(offset + 2 - few, 0)
         begin = skip - offset
         rough = _between(motion, h, first + skip, range(begin, begin + few))
         row = np.arange(first.size)

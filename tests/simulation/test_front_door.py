@@ -133,6 +133,8 @@ def test_a_long_run_states_what_takes_less(monkeypatch):
             float(number) * {"minutes": 60, "s": 1, "hours": 3600}[unit]
             for number, unit in re.findall(r"about ([0-9.]+) (minutes|hours|s)\b", text)
         )
+        expected_s = engine.propose(engine.part(scene), tolerance).cost_s
+        assert first == pytest.approx(expected_s, rel=0.06)
         if order:
             assert first / rest[0] == pytest.approx(10 ** (1 / order), rel=0.06)
         assert ("the engine" in text) == bool(others)
