@@ -23,7 +23,7 @@ from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
 from lmpchain.integrators.kernels.contact_forces import ROOTS, Form
 from lmpchain.integrators.kernels.layout import ALONE, STATE, Chains, Links
-from lmpchain.integrators.kernels.openings import Near, _find_nearness
+from lmpchain.integrators.kernels.openings import Near, _find_nearness, _score
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
@@ -280,7 +280,7 @@ def test_no_contact_that_shortens_a_step_is_missed():
     close = shortened ** (-14 / 3)
     passed = 0
     shortens = 0
-    for _ in range(2000):
+    for trial in range(2000):
         y, rates, bends = 10 ** rng.uniform(-3, 3, (3, 1)) * rng.normal(size=(3, size + 1))
         omega = 10 ** rng.uniform(-3, 3)
         weight = 10 ** rng.uniform(-30, 10, size)
@@ -291,6 +291,16 @@ def test_no_contact_that_shortens_a_step_is_missed():
         every = find(y, rates, bends, near)
         found = find(y, rates, bends, near._replace(reach=reach))
         assert found == every or every < shortened**14
+        if trial < 20:
+            closing = -np.diff([y, rates, bends])
+            strains = closing * length + [[pressed], [0.0], [0.0]]
+            given = *strains, weight, np.full(size, omega), np.full(size, 1e6)
+            scores = [_score.py_func(*row) for row in np.transpose(given).tolist()]
+            assert every == pytest.approx(max(scores), rel=1e-13)
+            # The overlap of a wall that only touches is the displacement itself.
+            wall = _score.py_func(*closing[:, 0].tolist(), float(weight[0]), omega, 1e6)
+            touched = find(y, rates, bends, near._replace(touching=True))
+            assert touched == pytest.approx(max(every, wall), rel=1e-13)
         passed = passed + (found < every)
         shortens = shortens + (every > shortened**14)
     assert passed > 100
