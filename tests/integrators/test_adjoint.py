@@ -291,7 +291,9 @@ def test_long_chains_have_the_same_derivatives_back_and_forth(rng: np.random.Gen
         excitation = Force(amplitude=speed, frequency=0.05 * chain.band_edge, grain=struck)
     scene = Scene(chain=chain, excitation=excitation, duration=1e-4)
     step = 0.5 / scene.highest_frequency
-    run = DifferentiableRun(scene, SPLITTINGS["rkn4"], step, 4, np.array([1, 2, 60, 390, 800]))
+    # Some of the grains are beyond the wave, near the ends of windows.
+    grains = np.array([1, 2, 60, *range(290, 600, 10), 800])
+    run = DifferentiableRun(scene, SPLITTINGS["rkn4"], step, 4, grains)
     if kind != Way.UNDONE_SERIES:
         assert run._law.way == kind
     weights = rng.normal(size=(2, *run.velocity.shape))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .compiling import compiled_march, inlined, pasted
 from .layout import PAD, Chains, Rows, SplittingStages, make_rows
-from .right_hand_side import ROWS, TILE, cut, imposed, slice_rows, sweep
+from .right_hand_side import ROWS, TILE, cut, impose, imposed, slice_rows, sweep
 from .sample_loop import sample_loop
 from .window import LOOKS, look, watch, widen
 
@@ -96,7 +96,10 @@ def _advance(chain, method, work, clock, out, landed):
         end = min(burst, max(step + 1, state.next_look - steps_before))
         until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, slice_rows(work, until_look))
-        look(chain, clock, steps_before + end, clock.begin + (made + end) * h, complete)
+        # Rows impose the motion at their kicks, so a driven body lags behind the other bodies.
+        reached = clock.begin + (made + end) * h
+        impose(chain, chain.x, reached, reached)
+        look(chain, clock, steps_before + end, reached, complete)
         step = end
     watch(chain)
     state.done += burst
