@@ -96,13 +96,13 @@ def _advance(chain, method, work, clock, out, landed):
         end = min(burst, max(step + 1, state.next_look - steps_before))
         until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, slice_rows(work, until_look))
-        # Rows impose the motion at their kicks, so a driven body lags behind the other bodies.
-        reached = clock.begin + (made + end) * h
-        impose(chain, chain.x, reached, reached)
-        look(chain, clock, steps_before + end, reached, complete)
+        look(chain, clock, steps_before + end, clock.begin + (made + end) * h, complete)
         step = end
-    watch(chain)
     state.done += burst
+    # Rows impose the motion at their kicks, so a driven body lags behind the other bodies.
+    now = clock.begin + state.done * h
+    impose(chain, chain.x, now, now)
+    watch(chain)
     return burst
 
 
