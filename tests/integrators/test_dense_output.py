@@ -1,19 +1,20 @@
 """Samples inside steps are interpolated as accurately as the steps."""
 
+from types import FunctionType
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from helpers.example_scenes import scene_of
 from helpers.independent_integrators import distance, extended_reference
-from numba import njit
 
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene, simulate
 from lmpchain.engines.native import Native
 from lmpchain.engines.stepping.auxiliary_runs import AuxiliarySteps
 from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels import window
 from lmpchain.integrators.kernels.layout import LEAST_SHARE, PAD, STATE, SampleRow
-from lmpchain.integrators.kernels.window import DenseRates, fill_samples
+from lmpchain.integrators.kernels.window import DenseRates
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps, clocks
@@ -46,9 +47,9 @@ class Ends(NamedTuple):
     state: np.void
 
 
-@njit
-def fill(ends, clock, rates, out):
-    fill_samples(ends, clock, PAD, PAD + 1, rates, out)
+# A compilation for this test would take longer than all other tests of this file.
+PLAIN = {"fma": lambda a, b, c: a * b + c, "passes": window.passes.py_func}
+fill_samples = FunctionType(window.fill_samples.py_func.__code__, vars(window) | PLAIN)
 
 
 def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
@@ -60,17 +61,19 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
             [np.sin(t + k * np.pi / 2) for k in range(4)] for t in (0.8 - h / 2, 0.8 + h / 2)
         )
         history = np.zeros((4, 2 * PAD))
-        state = np.zeros(1, STATE)[0]
+        state = np.zeros(1, STATE).view(np.recarray)[0]
         history[:, PAD] = begin
         state["done"] = h
         rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
         ends = Ends(history, rows[0], rows[1], state)
-        clock = clocks([Steps(1, 24, h, True, dense=1)], h / 24, 24)[0]
+        clock = clocks([Steps(1, 24, h, True, dense=1)], h / 24, 24).view(np.recarray)[0]
         clock["end"] = clock["length"] = h
         u, v = np.zeros((2, 25, 1))
-        fill(
+        fill_samples(
             ends,
             clock,
+            PAD,
+            PAD + 1,
             DenseRates(rows[0], rows[2], rows[0], rows[3]),
             SampleRow(u, v, 0, np.zeros((0, 2))),
         )
