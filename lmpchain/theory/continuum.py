@@ -50,6 +50,7 @@ __all__ = [
 
 
 Complex = NDArray[np.complex128]
+NEARLY_ZERO = 1e-150
 
 
 def mode(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Complex:
@@ -305,4 +306,7 @@ def _bare_mode(h: ArrayLike, lam: ArrayLike, delta: float) -> Complex:
     argument = lam * chi(h, delta)
     with np.errstate(invalid="ignore"):
         inside = real(h, "h") ** (nu * eta / 2) * hankel1e(nu, argument)
-    return np.where(argument == 0, -1j * gamma(nu) / np.pi * (lam / eta) ** -nu, inside)
+    # The Hankel function overflows at tiny arguments, where the limit is exact.
+    return np.where(
+        np.abs(argument) < NEARLY_ZERO, -1j * gamma(nu) / np.pi * (lam / eta) ** -nu, inside
+    )

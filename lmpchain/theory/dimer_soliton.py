@@ -266,8 +266,9 @@ def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
     x = (np.arange(points) - points // 2) * GRID.period / points
     k = 2 * np.pi * np.fft.fftfreq(points, GRID.period / points)
     # Inverse of the second derivative, except for the mean.
-    inverse = np.where(k == 0, 0.0, -1 / np.where(k == 0, 1.0, k) ** 2)
-    fourier = np.fft.fft(np.eye(points), axis=0)
+    inverse = np.zeros(points)
+    inverse[1:] = -1 / k[1:] ** 2
+    fourier = np.fft.fft(np.eye(points))
 
     def operator(symbol: Array) -> Array:
         return np.fft.ifft(symbol[:, None] * fourier, axis=0).real

@@ -22,6 +22,13 @@ def real(value: ArrayLike, key: str = "values") -> Array:
     return numbers(value, key)
 
 
+def finite(value: ArrayLike, key: str) -> Array:
+    """Return finite numbers as float64; raise `InputError` with this key for other values."""
+    number = real(value, key)
+    require((key, np.isfinite(number), "must be finite"))
+    return number
+
+
 def whole(key: str, value: ArrayLike, lowest: int | None = None) -> NDArray[np.int64]:
     """Return integers as int64; raise `InputError` for other values and below `lowest`."""
     number = whole_numbers(value, key)

@@ -268,12 +268,11 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
     >>> f"{float(solve(delta=1.5, speed=1.1).overlap(0.0)):.8f}"
     '1.42131540'
     """
-    exponent = f"must be above 1, where waves are linear, and {HARDEST:g} or less (got {delta!r})"
     single = (speed is None) != (velocity is None)
     fast = speed is None or 1 < speed < np.inf
     positive = velocity is None or 0 < velocity < np.inf
     require(
-        ("delta", 1 < delta <= HARDEST, exponent),
+        _solvable(delta),
         ("speed", single, "must be given under a load, or velocity in the sonic vacuum"),
         ("speed", fast, f"must be above 1, that of sound (got {speed!r})"),
         ("velocity", positive, f"must be above 0 (got {velocity!r})"),
@@ -285,6 +284,12 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
     # Waves of all velocities in the sonic vacuum are rescaled copies of the wave of speed 1.
     speed = (velocity / float(wave.velocity(0.0))) ** ((delta - 1) / (delta + 1))
     return replace(wave, speed=speed, height=speed ** (2 / (delta - 1)))
+
+
+def _solvable(delta: float) -> tuple[str, bool, str]:
+    """Return the rule that an exponent has solitary waves, and that a series resolves them."""
+    fault = f"must be above 1, where waves are linear, and {HARDEST:g} or less (got {delta!r})"
+    return "delta", 1 < delta <= HARDEST, fault
 
 
 def struck(velocity: float, delta: float = 1.5) -> Soliton:
@@ -313,15 +318,22 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     >>> f"{wave.speed:.6f} {float(wave.velocity(0.0)):.12f}"
     '1.008121 0.100000000000'
     """
-    require(("velocity", 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"))
+    small = "is too small: use the Korteweg-de Vries limit"
+    require(
+        ("velocity", 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"),
+        ("velocity", velocity > 0.1 * (SLOWEST - 1), small),
+        _solvable(delta),
+    )
 
     def excess(r: float) -> float:
         return r * float(long_wave_speed(real(r, "r"), delta)) - velocity
 
     # The long-wave speed of that overlap is close enough for Newton's method.
-    overlap = brentq(excess, 1e-4 * velocity, velocity)
+    # A strong wave has a speed of about the overlap to the power (delta - 1) / 2.
+    lowest = 1e-4 * min(velocity, velocity ** (2 / (delta + 1)))
+    overlap = brentq(excess, lowest, velocity)
     near = float(long_wave_speed(real(overlap, "overlap"), delta))
-    require(("velocity", near > SLOWEST, "is too small: use the Korteweg-de Vries limit"))
+    require(("velocity", near > SLOWEST, small))
     return _make_soliton(float(delta), True, solve_series(float(delta), near, float(velocity)))
 
 

@@ -20,7 +20,7 @@ from scipy.special import roots_legendre
 from ..chain.contact_law import Contacts, power_law
 from ..errors import InputError
 from ..util.arrays import Array
-from .domain import real, require
+from .domain import finite, real, require
 
 
 @dataclass(frozen=True)
@@ -224,6 +224,11 @@ def _guess(delta: float, speed: float | None) -> tuple[Callable[[Array], Array],
     return logarithm, drop / kappa + 1
 
 
+def _steep(delta: float) -> tuple[str, bool, str]:
+    """Return the rule that the exponent is above 1, where waves depend on their amplitude."""
+    return "delta", 1 < delta < np.inf, f"must be above 1 (got {delta!r})"
+
+
 def nesterenko_speed(velocity: ArrayLike, delta: float = 1.5) -> Array:
     """Return the speed of Nesterenko's long-wave soliton in the sonic vacuum.
 
@@ -245,7 +250,7 @@ def nesterenko_speed(velocity: ArrayLike, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        If a velocity is not finite.
+        If a velocity is negative or not finite, or if delta is not above 1.
 
     Examples
     --------
@@ -253,9 +258,9 @@ def nesterenko_speed(velocity: ArrayLike, delta: float = 1.5) -> Array:
     >>> f"{nesterenko_speed(1.0) / solve(velocity=1.0).speed - 1:.4f}"
     '0.0079'
     """
-    return (2 / (delta + 1)) ** (1 / (delta + 1)) * real(velocity, "velocity") ** (
-        (delta - 1) / (delta + 1)
-    )
+    v = finite(velocity, "velocity")
+    require(("velocity", v >= 0, "must be 0 or more"), _steep(delta))
+    return (2 / (delta + 1)) ** (1 / (delta + 1)) * v ** ((delta - 1) / (delta + 1))
 
 
 def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
@@ -281,10 +286,11 @@ def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        If x is not finite.
+        If x is not finite, if the speed is not above 0, or if delta is not above 1.
     """
+    require(("speed", 0 < speed < np.inf, f"must be above 0 (got {speed!r})"), _steep(delta))
     q = (delta - 1) * np.sqrt(6 / (delta * (delta + 1)))
-    angle = q * real(x, "x")
+    angle = q * finite(x, "x")
     height = ((delta + 1) / 2 * speed**2) ** (1 / (delta - 1))
     return height * ((np.abs(angle) < np.pi / 2) * np.cos(angle)) ** (2 / (delta - 1))
 
@@ -318,7 +324,7 @@ def sen_displacement(x: ArrayLike) -> Array:
     >>> bool(np.abs(exact - sen_displacement(x)).max() < 1e-3)
     True
     """
-    x = real(x, "x")
+    x = finite(x, "x")
     return (1 - np.tanh((2.39536 * x + 0.268529 * x**3 + 0.0061347 * x**5) / 2)) / 2
 
 
@@ -344,15 +350,15 @@ def coste_speed(force: ArrayLike, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        If a force is not above 1.
+        If a force is not finite and above 1, or if delta is not above 1.
 
     Examples
     --------
     >>> f"{coste_speed(2.12584727):.6f}"
     '1.049464'
     """
-    f = real(force, "force")
-    require(("force", f > 1, "must be above 1, the value at rest"))
+    f = finite(force, "force")
+    require(("force", f > 1, "must be above 1, the value at rest"), _steep(delta))
     return long_wave_speed(np.expm1(np.log(f) / delta), delta)
 
 
@@ -377,7 +383,8 @@ def kdv_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        If x is not finite.
+        If x is not finite, if the speed is below 1, or if delta is not above 1.
     """
+    require(("speed", 1 <= speed < np.inf, f"must be 1 or more (got {speed!r})"), _steep(delta))
     e = speed - 1
-    return 6 * e / (delta - 1) / np.cosh(np.sqrt(6 * e) * real(x, "x")) ** 2
+    return 6 * e / (delta - 1) / np.cosh(np.sqrt(6 * e) * finite(x, "x")) ** 2

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.special import beta, betainc
 
 from ..util.arrays import Array
-from .domain import chi, exponents, real, require, whole
+from .domain import chi, exponents, finite, real, require, whole
 
 
 def impulse_amplitude(delta: float = 1.5) -> float:
@@ -59,7 +59,7 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        If h < 0 or delta < 1.
+        If h < 0, tau is not finite or delta < 1.
 
     Examples
     --------
@@ -67,7 +67,7 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     [0.52825, 0.0]
     """
     inside = peaked(h, tau, 0.0, impulse_amplitude(delta), 0.0, delta)
-    return np.where(real(tau, "tau") >= chi(h, delta), inside, 0.0)
+    return np.where(finite(tau, "tau") >= chi(h, delta), inside, 0.0)
 
 
 def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[Array, Array]:

@@ -83,6 +83,9 @@ def test_limit_of_modes_at_the_top(delta: float):
     assert continuum.standing(0.0, lam, delta) == pytest.approx(
         continuum.standing(near, lam, delta), rel=1e-12
     )
+    # The integral contains frequencies down to 1e-264, at which the argument is hardly above 0.
+    found = continuum.superpose(np.ones_like, 1e-250, 3.0, delta).real
+    assert found == pytest.approx(continuum.packet(0.0, 3.0, delta), rel=1e-12)
 
 
 def test_modes_fade_with_depth():
@@ -227,6 +230,8 @@ def test_peaked_solves_eq_27_on_both_sides(delta: float):
         )
     inside = continuum.peaked(2.0, 3.0, 0.0, continuum.impulse_amplitude(delta), 0.0, delta)
     assert continuum.impulse_response(2.0, 3.0, delta) == inside
+    with pytest.raises(InputError, match=r"^tau: must be finite"):
+        continuum.impulse_response(2.0, np.nan, delta)
 
 
 @each_delta

@@ -155,9 +155,10 @@ def test_long_waves_published():
 
 
 def test_struck_is_the_inverse_of_solve():
-    for speed in (1.002, 1.3):
-        wave = solve(speed=speed)
-        assert soliton.struck(float(wave.velocity(0.0))).speed == pytest.approx(speed, rel=1e-12)
+    for speed, delta in ((1.002, 1.5), (1.3, 1.5), (1.2, 3.0)):
+        wave = solve(speed=speed, delta=delta)
+        struck = soliton.struck(float(wave.velocity(0.0)), delta)
+        assert struck.speed == pytest.approx(speed, rel=1e-12)
 
 
 @pytest.mark.parametrize("downward", [True, False])
@@ -378,7 +379,22 @@ CHAIN = {"grains": 40, "diameter": 1e-3, "gravity": 0.0}
         (lambda: soliton.struck(-1.0), "velocity"),
         (lambda: soliton.struck(np.inf), "velocity"),
         (lambda: soliton.struck(5e-4), "velocity"),
+        (lambda: soliton.struck(1e-300), "velocity"),
+        (lambda: soliton.struck(0.1, 1.0), "delta"),
+        (lambda: soliton.struck(0.1, np.nan), "delta"),
         (lambda: soliton.coste_speed(1.0), "force"),
+        (lambda: soliton.coste_speed(np.inf), "force"),
+        (lambda: soliton.coste_speed(2.0, 1.0), "delta"),
+        (lambda: soliton.nesterenko_speed(-1.0), "velocity"),
+        (lambda: soliton.nesterenko_speed(np.nan), "velocity"),
+        (lambda: soliton.nesterenko_speed(1.0, -1.0), "delta"),
+        (lambda: soliton.nesterenko_overlap(np.nan, 1.0), "x"),
+        (lambda: soliton.nesterenko_overlap(1.0, 0.0), "speed"),
+        (lambda: soliton.nesterenko_overlap(1.0, 1.0, 1.0), "delta"),
+        (lambda: soliton.sen_displacement(np.nan), "x"),
+        (lambda: soliton.kdv_overlap(np.inf, 1.1), "x"),
+        (lambda: soliton.kdv_overlap(1.0, 0.9), "speed"),
+        (lambda: soliton.kdv_overlap(1.0, 1.1, np.inf), "delta"),
         (lambda: solve(velocity=1.0).on(Chain(**CHAIN, exponent=2.0), 20), "chain"),
         (lambda: solve(velocity=1.0).on(Chain(**CHAIN, top_load=1.0), 20), "top_load"),
         (lambda: solve(speed=2.0).on(Chain(**CHAIN), 20), "top_load"),
