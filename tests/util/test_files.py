@@ -24,8 +24,11 @@ from lmpchain.util.files import (
     is_foreign,
     is_lock,
     make_folder,
+    path_of,
+    read_sealed_json,
     replacing,
     seal,
+    sealed_json,
     take_lock,
     unpack,
     unpack_one,
@@ -303,9 +306,42 @@ def test_only_files_of_lmpchain_are_replaced(tmp_path: Path):
         assert is_foreign(ours)
 
 
+def test_a_sealed_record_is_read_as_written(tmp_path: Path):
+    path = tmp_path / "store.json"
+    record = {"name": "run", "sizes": [1, 2.5], "none": None}
+    text = sealed_json(record | {"seal": "an old one"})
+    path.write_text(text)
+    assert read_sealed_json(path) == record
+    for other in (text.replace("2.5", "2.6"), "[1]", "{}", text[:-3], "[" * 10**5):
+        path.write_text(other)
+        assert read_sealed_json(path) is None
+    assert read_sealed_json(tmp_path) is None
+    assert read_sealed_json(tmp_path / "none") is None
+    with pytest.raises(ValueError, match="JSON"):
+        sealed_json({"x": np.inf})
+
+
+def test_names_that_cannot_be_paths_are_named(tmp_path: Path, monkeypatch: Any):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert path_of("~/a") == path_of(tmp_path / "a") == tmp_path / "a"
+    assert path_of("~nobody-of-this-name/a") == Path("~nobody-of-this-name/a")
+    for name, fault in (
+        (3, "must be a name in quotes (got 3)"),
+        ("", "must be a name in quotes (got '')"),
+        ("a\0b", "cannot be used: "),
+        ("a" * 300, "cannot be used: File name too long"),
+    ):
+        with pytest.raises(InputError, match=re.escape(fault)) as caught:
+            path_of(name, "output")
+        assert caught.value.faults[0][0] == "output"
+
+
 def test_locks_of_others_are_not_taken(tmp_path: Path):
     path = tmp_path / files.LOCK
     assert is_lock(path)
+    for content, ours in ((b"", True), (b"12\nhost\n", True), (b"12\n" + b"a" * 1000, False)):
+        path.write_bytes(content)
+        assert is_lock(path) == ours
     path.write_text("a diary")
     assert not is_lock(path)
     with pytest.raises(InputError, match="is not a lock of lmpchain, but a link, a device or a fi"):
@@ -317,3 +353,6 @@ def test_locks_of_others_are_not_taken(tmp_path: Path):
     path.unlink()
     path.mkdir()
     assert not is_lock(path)
+    opened = len(os.listdir("/proc/self/fd"))
+    assert files.has_locks(tmp_path)
+    assert len(os.listdir("/proc/self/fd")) == opened

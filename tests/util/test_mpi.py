@@ -63,6 +63,8 @@ def test_a_process_leaves_the_world_of_another_program(key: str, monkeypatch: An
     assert mpi.count_processes() == 1
     assert mpi.count_idle() == 0
     assert mpi.is_first()
+    monkeypatch.setattr(mpi, "_idle", [3])
+    assert mpi.count_idle() == 3
     # A job may still ask for its nodes.
     assert os.environ["SLURM_JOB_NODELIST"] == "n[1-4]"
 

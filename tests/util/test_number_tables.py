@@ -238,6 +238,8 @@ def test_records_of_universal_files_have_names_times_and_units(even: bool):
     assert [(a.name, a.unit) for a in found] == [("time", "s"), ("1:3", "mV"), ("2:3", "N")]
     for array, written in zip(found, (TIME, OTHER * 1e3, push(TIME)), strict=True):
         np.testing.assert_allclose(array.values, written, rtol=1e-9, atol=1e-12)
+    (alone,) = records_of("    -1\n" + text.split("    -1\n")[3] + "    -1\n")[1:]
+    np.testing.assert_array_equal(alone.values, found[1].values)
     # Units without a label are those of dataset 164; records may have different times.
     other = "    -1\n   164\n         5mm(milli-newton)\n    -1\n" + text.replace("mV", "  ")
     other = other.replace(f"{-2e-5:13.5E}", f"{-3e-5:13.5E}", 1 if even else 2)
@@ -276,6 +278,40 @@ def test_texts_without_a_table_are_refused(text: str, message: str, tmp_path: Pa
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_table(path, fewest=2)
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path):
+    for path in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(InputError, match=f"^file: {path} cannot be read: "):
+            read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "described"),
+    [
+        ("t,F\ns,N\n", ["column 1 (t) in s", "column 2 (F) in N"]),
+        ("t,F\ns,-\n", ["column 1 (t) in s", "column 2 (F)"]),
+        # Names below a title are not units, and nor are dashes alone.
+        ("run,1\nV,depth\n", ["column 1 (V)", "column 2 (depth)"]),
+        ("t,F\n-,-\n", ["column 1 (-)", "column 2 (-)"]),
+        ("s,N\n", ["column 1 in s", "column 2 in N"]),
+        ("s,-\n", ["column 1 (s)", "column 2 (-)"]),
+    ],
+)
+def test_a_line_of_units_is_below_the_names_or_alone(
+    header: str, described: list[str], tmp_path: Path
+):
+    path = tmp_path / "a.csv"
+    path.write_text(header + "0,1\n1,2\n2,3\n")
+    table = read_table(path, fewest=2)
+    assert [table.describe(place) for place in table.numeric] == described
+
+
+def test_a_colon_names_a_fact_alone_on_a_line_or_before_a_number(tmp_path: Path):
+    path = tmp_path / "a.csv"
+    path.write_text("unit: mV\nt0 = 2.5,note: made by x\nt,F\n0,1\n1,2\n2,3\n")
+    table = read_table(path, fewest=2)
+    assert (table.word(1, "unit"), table.fact(0, "t0"), table.word(1, "note")) == ("mV", 2.5, "")
 
 
 def test_units_of_lammps_are_those_of_codata():

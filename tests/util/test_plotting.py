@@ -18,7 +18,9 @@ from lmpchain.util.plotting import (
     colour_bar,
     edges,
     figure,
+    label_ends,
     legend,
+    look_of,
     panels,
     save,
     set_title,
@@ -152,6 +154,10 @@ def test_a_logarithmic_axis_keeps_its_unit(width: float):
     assert ax.get_ylabel() == "velocity (µm/s)"
     # Minor ticks have no numbers, because these would lack the prefix.
     assert not any(tick.get_text() for tick in ax.get_yticklabels(minor=True))
+    near = axes_in_units(figure(width, 3.0).subplots(), "s", "m/s", "y")
+    near.set(ylim=(2e-6, 9e-6))
+    minor = near.get_yticklabels(minor=True)
+    assert (len(minor) > 3, any(tick.get_text() for tick in minor)) == (True, False)
     both = axes_in_units(figure(width, 3.0).subplots(), "s", "", "xy")
     assert (both.get_xscale(), both.get_yscale()) == ("log", "log")
 
@@ -227,6 +233,10 @@ def test_engines_and_integrators_differ_in_colour_and_marker():
     assert set(colours) == set(COLOURS.values())
     assert len(set(markers)) == len(looks)
     assert len(SHADES) == len(SHAPES) == len(set(SHAPES))
+    shades = [look_of(name) for name in (*plotting.INTEGRATORS, "another")]
+    assert shades == [
+        {"color": c, "marker": m} for c, m in zip(SHADES, SHAPES, strict=True)
+    ]  # fmt: skip
     for palette in (list(COLOURS.values()), list(SHADES)):
         for one, other in combinations(palette, 2):
             distance = np.subtract(colors.to_rgb(one), colors.to_rgb(other))
@@ -319,6 +329,20 @@ def test_a_legend_of_given_handles():
 
 def test_zero_is_drawn_below_all_rounding_errors():
     assert 0 < plotting.LEAST_ERROR < 1e-16
+
+
+def test_names_at_the_ends_of_curves_do_not_overlap():
+    ax = figure(WIDE, 3.0).subplots()
+    ax.set(yscale="log", ylim=(1.0, 100.0))
+    label_ends(ax, [(10.0, "b", "blue"), (60.0, "d", "red"), (10.0, "c", "green"), (2.0, "a", "k")])
+    assert [text.get_text() for text in ax.texts] == ["a", "b", "c", "d"]
+    middle = 0.5 + plotting.LABEL_HEIGHT
+    shares = [np.log10(2.0) / 2, 0.5, middle, np.log10(60.0) / 2]
+    for text, share, height in zip(ax.texts, shares, (2.0, 10.0, 10.0, 60.0), strict=True):
+        assert text.xyann == pytest.approx((1.02, share), rel=1e-12)
+        assert text.xy == (1.0, height)
+        assert text.xycoords == ("axes fraction", "data")
+    assert [text.get_color() for text in ax.texts] == ["k", "blue", "green", "red"]
 
 
 def test_several_panels_have_letters():
