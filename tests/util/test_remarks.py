@@ -11,7 +11,7 @@ from helpers.example_chains import column
 from helpers.example_scenes import struck
 
 from lmpchain import simulate
-from lmpchain.util.remarks import warn, warnings_aside
+from lmpchain.util.remarks import note, warn, warnings_aside
 
 # This wave is far from linear, so Eq. (3) warns of its error.
 STRONG = struck(column(6), 0.1, 2e-5, 5)
@@ -76,3 +76,16 @@ def test_warnings_suppressed_in_one_thread_are_shown_in_another():
     assert [str(warning.message) for warning in heard] == ["to be heard"]
     assert heard[0].filename == __file__
     assert texts == ["not to be heard"]
+
+
+def test_a_note_is_one_line_on_stderr(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    note("a\nb \x1b[1mc, é")
+    assert capsys.readouterr().err == "note: a\\nb \\x1b[1mc, é\n"
+    with warnings_aside() as texts:
+        note("suppressed")
+    assert (capsys.readouterr().err, texts) == ("", [])
+    # A program without a console has no stderr.
+    monkeypatch.setattr("sys.stderr", None)
+    note("lost")

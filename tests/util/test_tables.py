@@ -22,6 +22,32 @@ def test_wide_cells_are_wrapped():
             assert set(cell.split()) <= set(words)
 
 
+def test_cells_are_wrapped_within_their_columns():
+    """Lines are as long as possible, and a column that is not wrapped keeps its width."""
+    long = "a word of text " * 20
+    lines = tables.align([("name", "text", "end"), ("one", long, "#"), ("two", "short", "%")])
+    assert [line[:4].strip() for line in lines] == ["name", "one", *[""] * (len(lines) - 3), "two"]
+    assert lines[1].index("#") == lines[-1].index("%") == 77
+    column = [line[6:75] for line in lines[1:-1]]
+    assert " ".join(map(str.strip, column)) == long.strip()
+    assert min(len(part.rstrip()) for part in column[:-1]) > 69 - len("word ")
+    assert tables.align([]) == []
+
+
+def test_words_for_numbers_and_durations():
+    """Numbers and their units, or words in place of both."""
+    assert [tables.duration(x) for x in (1.0, 0.9994, 1e-3, 9.994e-4)] == [
+        "1 s", "999 ms", "1 ms", "999 us",
+    ]  # fmt: skip
+    assert [tables.duration(float(x), "?") for x in ("nan", "inf")] == ["?", "?"]
+    assert [tables.number(float(x), ".1f", "m") for x in ("nan", "-inf", "2.04")] == [
+        "", "inf", "2.0 m",
+    ]  # fmt: skip
+    assert [tables.counted(n, "step") for n in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
+    row = {"a": float("nan"), "b": float("inf"), "c": 1.5, "d": "nan", "e": 3}
+    assert tables.finite(row) == {"a": None, "b": None, "c": 1.5, "d": "nan", "e": 3}
+
+
 def test_a_wide_terminal_shows_a_row_in_a_line(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("COLUMNS", "120")
     # Without a terminal, lines are as wide as on the narrowest one.
