@@ -34,6 +34,8 @@ def test_a_linear_chain_has_the_indices_of_its_matrix() -> None:
     found = chaos_of(scene, seed=3)
     assert not found.chaotic
     assert (np.abs(found.exponent) <= found.half_width).all()
+    # A deviation that grows in proportion to time is not resolved.
+    assert (found.half_width >= np.log(5) / (0.8 * scene.duration)).all()
     root = np.sqrt(chain.masses)
     springs = chain.contacts.stiffness
     pull = np.diag(springs[:-1] + springs[1:]) - np.diag(springs[1:-1], 1)
@@ -124,6 +126,10 @@ def test_exponents_come_in_pairs_and_volume_is_conserved() -> None:
         paired = each.exponent + each.exponent[::-1]
         assert (np.abs(paired) <= each.half_width).all()
         assert abs(each.running[-1].sum()) < 1e-9 * each.exponent[0]
+        # The exponents are growth rates after the first fifth of the time.
+        grown = each.running[-1] * each.time[-1] - each.running[63] * each.time[63]
+        assert each.exponent == pytest.approx(grown / (each.time[-1] - each.time[63]), rel=1e-9)
+        assert 0 < each.energy_drift < 1e-3
         # The pair of the energy has no growth.
         assert np.abs(each.exponent[4:6]).max() < 0.1 * each.exponent[0]
 
@@ -173,8 +179,30 @@ def test_laws_by_formula_have_exponents() -> None:
 def test_pictures_tables_and_refusals() -> None:
     """Pictures have labels, tables have columns, and invalid requests are rejected by key."""
     found = chaotic(0)
-    assert found.plot().get_xlabel() == "time"
-    assert found.plot_gali().get_ylabel() == "generalised alignment index"
+    ax = found.plot()
+    assert ax.get_xlabel() == "time"
+    size = found.exponent.size
+    curves = [line for line in ax.lines if np.size(line.get_xdata()) == found.time.size]
+    for line, running in zip(curves, found.running.T, strict=True):
+        assert line.get_ydata().tolist() == running.tolist()
+    ends = [bar.lines[2][0].get_segments()[0] for bar in ax.containers]
+    both = np.array([found.exponent - found.half_width, found.exponent + found.half_width]).T
+    assert np.array(ends)[:, :, 1] == pytest.approx(both, rel=1e-12)
+    assert (np.array(ends)[:, :, 0] == found.time[-1]).all()
+    later = found.running[64:]
+    assert ax.get_ylim() == pytest.approx((1.3 * later.min(), 1.3 * later.max()), rel=1e-12)
+    assert ax.get_title("left").startswith(f"largest {found.exponent[0]:.4g} ± ")
+    gali = found.plot_gali()
+    assert gali.get_ylabel() == "generalised alignment index"
+    assert (gali.get_xscale(), gali.get_yscale()) == ("log", "log")
+    assert [line.get_label() for line in gali.lines] == [
+        f"{count} deviations" for count in range(2, size + 1)
+    ]
+    for count, line in enumerate(gali.lines, 2):
+        expected = np.exp(found.log_gali[:, count - 1])
+        seen = expected > 1e-300
+        assert line.get_xdata().tolist() == found.time[seen].tolist()
+        assert line.get_ydata() == pytest.approx(expected[seen], rel=1e-12)
     assert {"time [s]", "exponent_1 [1/s]", "log_gali_10"} <= set(found.to_dataframe().columns)
     assert (found.gali(10)[-1:] == 0).all()
     chain = Chain(grains=4, **BEADS)
@@ -189,5 +217,8 @@ def test_pictures_tables_and_refusals() -> None:
         chaos_of(struck(chain, 0.0, 1e-3))
     with pytest.raises(InputError, match="damping"):
         chaos_of(scene.replace(chain=chain.replace(damping=Damping(drag=1.0))))
-    with pytest.raises(InputError, match="count"):
-        found.gali(11)
+    for count in (1, 11, 2.5):
+        with pytest.raises(InputError, match="count"):
+            found.gali(count)
+    with pytest.raises(InputError, match=r"exponents: must be 2 to 8 \(got 9\)"):
+        chaos_of(scene, exponents=9)
