@@ -109,8 +109,6 @@ def read_arrays(path: Path, content: bytes, largest: int) -> Arrays | str | None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return read(content, largest)
-    except InputError:
-        raise
     except ImportError:
         library, load = RECIPES[kind]
         # The command line prints these three lines as one, so they must be valid Python in one

@@ -1,5 +1,6 @@
 """Tables of numbers in text and in binary files, and units, against what was written."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,8 @@ def test_all_arrays_of_a_file_are_columns(
     columns = columns_of(path)
     assert {column.size for column in columns} == {81}
     assert contains(columns, push(TIME), 1e-5) or contains(columns, VOLTS, 1e-5)
+    # The columns of a single matrix of NumPy have no names.
+    assert (read_table(path).describe(0) == "column 1") == (path.suffix == ".npy")
 
 
 def test_facts_and_units_of_arrays_are_those_of_the_file(tmp_path: Path):
@@ -246,6 +249,30 @@ def test_records_of_universal_files_have_names_times_and_units(even: bool):
     found = records_of(other)
     assert [a.name for a in found] == ["time", "1:3", "time", "2:3"]
     assert found[1].unit == "units of dataset 164"
+
+
+@pytest.mark.parametrize(
+    ("name", "library"),
+    [("a.mat, PicoScope", "scipy.io"), ("g.h5", "h5py"), ("e.npz", None)],
+)
+def test_arrays_need_memory_and_a_library(
+    name: str, library: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path = tmp_path / name.split(",")[0]
+    ARRAYS[name][0](path)
+    content = path.read_bytes()
+    assert isinstance(read_arrays(path, content, 2**20), Arrays)
+    with pytest.raises(InputError, match="its arrays are larger than 0 MB"):
+        read_arrays(path, content, 1000)
+    if library is None:
+        return
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(InputError, match=f"which {library} reads: install it, or") as caught:
+        read_arrays(path, content, 2**20)
+    # The recipe is valid Python.
+    recipe = str(caught.value).partition("\n")[2]
+    assert f'("{path.name}")' in recipe
+    compile("\n".join(line.strip() for line in recipe.splitlines()), "recipe", "exec")
 
 
 @pytest.mark.parametrize(
