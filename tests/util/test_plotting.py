@@ -325,6 +325,11 @@ def test_a_legend_of_given_handles():
     (first, _) = shown.get_lines()
     size = shown.get_texts()[0].get_fontsize()
     assert np.ptp(first.get_xdata()) == pytest.approx(1.5 * size)  # Shorter than in matplotlib.
+    legend(ax, lines, ["one", "two"], below=0.2)
+    ax.figure.draw_without_rendering()
+    box, frame = ax.get_legend().get_window_extent(), ax.get_window_extent()
+    assert (box.x0 + box.x1) / 2 == pytest.approx((frame.x0 + frame.x1) / 2, abs=1.0)
+    assert 0 <= frame.y0 - 0.2 * frame.height - box.y1 < 0.05 * frame.height
 
 
 def test_zero_is_drawn_below_all_rounding_errors():
