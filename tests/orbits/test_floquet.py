@@ -30,3 +30,24 @@ def test_half_a_period_gives_the_multipliers_of_the_whole_period(rng):
     assert whole == pytest.approx(mirror @ np.linalg.inv(half) @ mirror @ half, abs=1e-12)
     means = np.sort_complex(floquet.reversible_means(half))
     assert means == pytest.approx(np.sort_complex(floquet.means(whole)), abs=1e-11)
+
+
+def test_the_order_of_multipliers(rng):
+    """The largest is first, of conjugates that with the positive angle; a trivial pair is last."""
+    turned = 0.9 * np.exp(0.5j)
+    exact = np.array([-2.0, turned, turned.conjugate(), 0.3])
+    block = np.zeros((4, 4))
+    block[0, 0], block[3, 3] = -2.0, 0.3
+    block[1:3, 1:3] = [[turned.real, turned.imag], [-turned.imag, turned.real]]
+    basis = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    assert floquet.all_multipliers(basis @ block @ basis.T) == pytest.approx(exact, abs=1e-12)
+    outer = np.exp([0.2 + 1j, 0.2 - 1j])
+    large = np.array([-3.0, *outer, np.exp(0.3j), np.exp(2.0j)])
+    order = np.array([0, 2, 1, 3, 4])  # Smaller angles are first.
+    means = (large + 1 / large) / 2
+    found = floquet.multipliers(means[[3, 0, 4, 1, 2]], True)
+    assert found[0:-2:2] == pytest.approx(large[order], abs=1e-12)
+    assert found[1:-2:2] == pytest.approx(1 / large[order], abs=1e-12)
+    assert found[-2:].tolist() == [1.0, 1.0]
+    near = np.array([1.2, 1.0 - 1e-9j, 0.7])
+    assert floquet.without_trivial(near).tolist() == [1.2, 0.7]
