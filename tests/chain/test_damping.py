@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from lmpchain import Chain, Damping, Impulse, InputError, Scene
 from lmpchain.chain.damping import Pair, rebound, viscosity_of
+from lmpchain.chain.materials import STEEL
 
 
 def chain(**damping) -> Chain:
@@ -126,6 +127,13 @@ def test_a_faster_collision_of_the_same_spheres_loses_more():
     spheres = {"material": "steel", "diameter": 1e-2}
     slow = Damping.from_restitution(0.93, velocity=0.3, **spheres)
     fast = Damping.from_restitution(0.93, velocity=3.0, **spheres)
+    # Equal spheres have half the mass, half the modulus and a quarter of the diameter as radius.
+    mass = STEEL.density * math.pi / 6 * 1e-6 / 2
+    modulus = STEEL.youngs_modulus / (1 - STEEL.poissons_ratio**2) / 2
+    rate = (4 / 3 * modulus * math.sqrt(1e-2 / 4) / mass) ** 0.4 * 0.3**0.2
+    weak = Damping.from_restitution(0.9999, velocity=0.3, **spheres)
+    # To first order, 1 - e is 1.1534 x with x = 1.5 A (K / m)^(2/5) v^(1/5).
+    assert 1.153449 * 1.5 * weak.viscoelastic * rate == pytest.approx(1e-4, rel=2e-4)
     # The loss is proportional to A v^(1/5).
     assert fast.viscoelastic == pytest.approx(slow.viscoelastic * 10**-0.2, rel=1e-9)
 

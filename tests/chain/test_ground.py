@@ -66,6 +66,18 @@ def test_a_ground_force_depends_on_displacement_and_time():
         assert found == pytest.approx(expected, rel=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("text", "onset"),
+    [
+        ("k*u", 1.5), ("k*(u + max(u, 0)**2)", 1.5), ("k*max(u, 0)", 1.0), ("k*t*max(u, 0)", 1.0),
+        ("k*max(abs(u) - 1e-6, 0)**1.2 + u", 1.2), ("u + k*u*step(u - 1e-6)", 0.0),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("k", [1e5, [1e5, 0.0], [0.0, 1e5]])
+def test_the_onset_of_a_ground_is_that_of_its_sharpest_kink(text, onset, k):
+    assert ground.onset(Law(text, k=k)) == pytest.approx(onset, abs=1e-6)
+
+
 def test_parts_and_files_preserve_the_ground(tmp_path):
     stiffness = np.linspace(1e5, 1e6, 12)
     chain = on(Law("k*u + b*u**3", k=stiffness.tolist(), b=1e15))
