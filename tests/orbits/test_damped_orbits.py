@@ -150,6 +150,10 @@ def test_the_response_of_a_linear_chain_is_exact(kind: str):
     bound = 1e-11 * np.abs(answer).max()
     np.testing.assert_allclose(u, turning.imag, atol=bound, rtol=0)
     np.testing.assert_allclose(v, omega * turning.real, atol=omega * bound, rtol=0)
+    # The state at t = 0, in which a driven grain has the velocity of the drive.
+    np.testing.assert_allclose(orbit.displacement, answer[1:-1].imag, atol=bound, rtol=0)
+    start = omega * answer[1:-1].real
+    np.testing.assert_allclose(orbit.velocity, start, atol=omega * bound, rtol=0)
     overlap = np.diff(np.pad(turning.imag, ((0, 0), (1, 1))), axis=1)
     if kind == "wall":
         overlap[:, 0] -= drive.amplitude * np.sin(omega * times)
