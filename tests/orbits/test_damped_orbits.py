@@ -154,6 +154,9 @@ def test_the_response_of_a_linear_chain_is_exact(kind: str):
     np.testing.assert_allclose(orbit.displacement, answer[1:-1].imag, atol=bound, rtol=0)
     start = omega * answer[1:-1].real
     np.testing.assert_allclose(orbit.velocity, start, atol=omega * bound, rtol=0)
+    # No small change of the state moves a driven grain.
+    changes = orbit.flow.deviation(orbit.state, np.ones_like(orbit.state))
+    assert [bool(change[0]) for change in changes] == [kind != "grain"] * 2
     overlap = np.diff(np.pad(turning.imag, ((0, 0), (1, 1))), axis=1)
     if kind == "wall":
         overlap[:, 0] -= drive.amplitude * np.sin(omega * times)
