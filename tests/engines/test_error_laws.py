@@ -6,6 +6,7 @@ What differences of runs say of it, what rounding makes of it, and how steps fol
 import math
 
 import mpmath
+import numba
 import numpy as np
 import pytest
 from helpers.example_chains import column, random_column
@@ -439,6 +440,10 @@ def test_options_of_the_native_engine_are_rejected_with_alternatives():
         engines.get(Native(), step=1e-7)
     with pytest.raises(InputError, match="engine: must be"):
         engines.get("nativ")
+    with pytest.raises(InputError, match="adaptive: must be"):
+        Native(adaptive=1)
+    scene = smooth()
+    assert Native().describe(scene, Native().propose(scene, 1e-6)) == {"numba": numba.__version__}
 
 
 def test_a_given_step_may_be_up_to_the_stability_limit():

@@ -11,7 +11,7 @@ from helpers.example_chains import column, random_column
 from helpers.example_scenes import scene_of, smooth, struck
 
 from lmpchain import Drive, Impulse, Scene, simulate
-from lmpchain.engines import Native
+from lmpchain.engines import Lammps, Native
 from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.stepping.monitor import place_looks
 from lmpchain.engines.stepping.rounding import (
@@ -343,3 +343,40 @@ def test_a_scene_at_rest_has_the_units_of_its_chain() -> None:
     assert error.truncation == pytest.approx(2e-9, rel=1e-6)
     (error,) = given(run, pairs((0.0, 63e-9 * speed), (0.0, 63 * 64e-9 * speed)), 0.0).errors()
     assert error.truncation == pytest.approx(2e-9, rel=1e-6)
+
+
+@pytest.mark.parametrize(("part", "order"), [(0.49, 6.0), (0.51, 2.0)])
+def test_contacts_that_nearly_open_lower_the_order_of_equal_steps(
+    part: float, order: float
+) -> None:
+    """An overlap that falls below a half of that at rest counts."""
+    chain = column(2, gravity=0.0, top_load=1e-2, exponent=1.0)
+    speed = -part * float(chain.equilibrium_overlap[0]) * chain.band_edge
+    scene = struck(chain, speed, 20 / chain.band_edge, 5)
+    run = finished(Native("rkn6", step=scene.duration / 400, adaptive=False), scene)
+    assert run.monitor.lowest[0] == pytest.approx(-part, rel=5e-3)
+    assert run.errors()[0].order == order
+
+
+def test_the_distance_from_a_native_twin_is_the_rounding_error() -> None:
+    scene = smooth(samples=9)
+    run = finished(Lammps("verlet", step=scene.duration / 800), scene)
+    try:
+        assert run.monitor.runs == 3
+        distances = np.zeros((3, 9, 1, 2))
+        distances[0, :, 0, 0] = 1e-9 * np.arange(9)
+        distances[0, 3, 0, 1] = 5e-5
+        # The twin and the runs with 2h and 4h show the truncation error of order 2.
+        distances[1, :, 0, 0] = 3e-7
+        distances[2, :, 0, 0] = 12e-7
+        (error,) = given(run, distances, (1.0, 1e3)).errors()
+        walk = EPSILON * (2 + math.sqrt(800) + 1.5 * scene.total_phase)
+        assert error.roundoff == pytest.approx(walk + 5e-8, rel=1e-9)
+        expected = 1e-9 * np.arange(9)
+        expected[3] = 5e-8
+        np.testing.assert_allclose(error.amplified, expected, rtol=1e-12, atol=0)
+        assert error.truncation == pytest.approx(2e-7, rel=1e-9)
+        # The run is judged at its end only.
+        assert run.monitor.choose_looks(1e3, 4) == frozenset()
+    finally:
+        run.close()

@@ -161,6 +161,14 @@ def test_equal_steps_are_trusted_less_if_contacts_open() -> None:
     share = (64 - 8) / (64 - 4)
     mixed = 2e-6 * ((1 - share) / 63 + share / 3)
     assert strong.truncation(0, distances, 6, False) == pytest.approx(mixed, rel=1e-9)
+    # A strain of 10 is where a contact counts as nearly open at first.
+    for strain, expected in ((9.9, 2e-6 / 7), (10.1, mixed)):
+        weaker = Impulse(velocity=1.0 * strain / scene.largest_strain)
+        for _ in range(20):
+            found = scene.replace(excitation=weaker).largest_strain
+            weaker = weaker.scaled(strain / found)
+        near = AuxiliarySteps(RKN6, [scene.replace(excitation=weaker)], steps)
+        assert near.truncation(0, distances, 6, False) == pytest.approx(expected, rel=1e-9)
     # A single auxiliary run is trusted if steps are equal and the force is smooth.
     few = equal_steps(weak, 1)
     long = calm(0.4 * RKN6.stability_limit * 12, 13)

@@ -23,7 +23,8 @@ class PhaseSums(NamedTuple):
     time : float
         Time of the last evaluation, s.
     strain : float
-        Strain of the largest magnitude of any contact at that time.
+        Strain of the largest magnitude of any contact at that time. Among strains that are equal up
+        to rounding, it has the sign of the strain before.
     pull : float
         Largest acceleration of a grain at that time by open contacts, m/s2. In linear theory, open
         contacts still pull.
@@ -64,6 +65,9 @@ class PhaseSums(NamedTuple):
     opened: float
 
 
+# Relative difference of two strains of opposite sign that may be due to rounding, as in the two
+# waves of a strike inside a chain. Random signs would hide the phase shifts of both waves.
+EQUAL = 1e-6
 STATE = np.dtype([(name, np.float64) for name in PhaseSums._fields])
 
 
@@ -193,10 +197,14 @@ def _fill(bodies, i, links, solution, imposed):
 
 
 @joined
-def _strain(bodies, inverse_overlap, law):
-    """Return the strain of largest magnitude, and the first contact that opens, -1 if none does."""
+def _strain(bodies, inverse_overlap, law, before):
+    """Return the strain of largest magnitude, and the first contact that opens, -1 if none does.
+
+    `before` is the strain of largest magnitude at the time before.
+    """
     x, v, a = bodies
-    largest = 0.0
+    highest = 0.0
+    deepest = 0.0
     opened = -1
     for n in range(inverse_overlap.size):
         strain = (x[n] - x[n + 1]) * inverse_overlap[n]
@@ -206,11 +214,14 @@ def _strain(bodies, inverse_overlap, law):
         lowest = strain
         if bend > 0 and abs(rate) < law.near * bend:
             lowest -= rate * rate / (2 * bend)
-        if abs(strain) > abs(largest):
-            largest = strain
+        highest = max(highest, strain)
+        deepest = min(deepest, strain)
         if lowest <= law.opening and opened < 0:
             opened = n
-    return largest, opened
+    excess = highest + deepest
+    if abs(excess) <= EQUAL * highest:
+        excess = before
+    return highest if excess >= 0 else deepest, opened
 
 
 @joined
@@ -240,7 +251,7 @@ def accumulate(state, links, solution, imposed, law):
         first, last = solution.reach[i]
         bodies = room[:, : last - first + 2]
         _fill(bodies, i, links, solution, imposed)
-        strain, opened = _strain(bodies, links.inverse_overlap[first : last + 1], law)
+        strain, opened = _strain(bodies, links.inverse_overlap[first : last + 1], law, now.strain)
         if opened >= 0 and np.isnan(now.opened):
             now.opened = first + opened
         pull = 0.0 if np.isnan(now.opened) else _pull(bodies[0], links, first)
