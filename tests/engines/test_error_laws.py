@@ -23,6 +23,7 @@ from lmpchain import (
     Impulse,
     Impurity,
     InputError,
+    Law,
     Scene,
     engines,
     simulate,
@@ -347,7 +348,11 @@ def test_amplification_is_limited_by_the_phase():
     assert could_grow(scene, 1e8) == pytest.approx(
         EPSILON * 1e4 * math.exp(0.06 * radians), rel=1e-9
     )
-    assert could_grow(scene.replace(duration=10.0), 1.0) < math.inf
+    # No scene amplifies more than exp(99); a ground may do so at any rate.
+    most = pytest.approx(1e-15 * math.exp(99), rel=1e-9)
+    assert could_grow(scene.replace(duration=10.0), 1.0) == most
+    grounded = scene.replace(chain=chain.replace(ground=Law("s*u", s=1.0)))
+    assert could_grow(grounded, 1.0) == most
 
 
 # --- proposals, budgets and the next step
