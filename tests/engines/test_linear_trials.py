@@ -353,14 +353,14 @@ def _linear(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize(
     ("amplitude", "frequency"),
-    [(1.5e-9, 3e3), (1e-9, 1e4), (3e-10, 1e4), (1e-10, 3e4), (3e-10, 3e4)],
+    [(1.5e-9, 3e3), (1e-9, 1e4), (1e-10, 3e4)],
 )
 def test_estimates_of_linear_theory_agree_for_a_driven_column(amplitude, frequency):
     """Evaluation, run and stability give the same estimate.
 
     At least a third of the truth, at most five times.
 
-    Estimates are 0.21, 0.57, 0.11, 0.15 and 0.68, the truth 0.10, 0.23, 0.073, 0.070 and 0.22.
+    Estimates are 0.21, 0.57 and 0.15, the truth 0.10, 0.23 and 0.070.
     """
     drive = Drive(amplitude=amplitude, frequency=frequency)
     scene = scene_of(column(120), drive, 5e-4, 101)
