@@ -12,7 +12,18 @@ from helpers.example_scenes import paper, scene_of, smooth, struck
 from helpers.independent_integrators import distance, extended_reference
 from helpers.whole_runs import blocks_of
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Law,
+    RunFailed,
+    Scene,
+    simulate,
+)
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
 from lmpchain.engines.stepping import monitor
 from lmpchain.engines.stepping import time_stepping as stepping_run
@@ -187,6 +198,7 @@ def test_scenes_of_a_batch_are_of_one_kind():
         SCENE.replace(excitation=Impulse(velocity=1e-3, grain=4)),
         SCENE.replace(chain=CHAIN.replace(gravity=5.0)),
         SCENE.replace(excitation=Displacement(displacement=1e-9)),
+        SCENE.replace(chain=CHAIN.replace(top_load=1.0)),
     )  # fmt: skip
     for other in alike_ones:
         assert kind(other) == kind(SCENE)
@@ -198,11 +210,19 @@ def test_scenes_of_a_batch_are_of_one_kind():
         SCENE.replace(chain=CHAIN.replace(gravity=0.0)), SCENE.replace(samples=22),
         SCENE.replace(duration=4.1e-5),
         SCENE.replace(grains=[1]), SCENE.replace(excitation=Drive(amplitude=1e-9, frequency=1e4)),
+        SCENE.replace(excitation=Force(amplitude=1e-9, frequency=1e4)),
+        SCENE.replace(chain=CHAIN.replace(damping={"drag": 1.0})),
+        SCENE.replace(chain=CHAIN.replace(ground=Law("s*u", s=1.0))),
     )  # fmt: skip
     for other in unlike_ones:
         assert kind(other) != kind(SCENE)
         with pytest.raises(ValueError, match="a batch needs chains of the same kind and length"):
             engine.start([SCENE, other], candidate)
+    drive, force = unlike_ones[8], unlike_ones[9]
+    assert kind(drive) != kind(force)
+    loaded = CHAIN.replace(gravity=0.0, top_load=1.0)
+    loose = SCENE.replace(chain=loaded.replace(load_grain=3))
+    assert kind(SCENE.replace(chain=loaded)) == kind(SCENE) != kind(loose)
     key = engine.batch_key(SCENE, candidate)
     for changed in (
         {"steps": candidate.steps._replace(per_landing=3)},
