@@ -170,7 +170,10 @@ class Monitor:
 
     @cached_property
     def _closest_allowed(self) -> Array:
-        """Largest approach of two grains beyond that at rest, (R,) m, in a stable run."""
+        """Largest approach of two grains beyond that at rest, (R,) m, in a stable run.
+
+        The bound is that of the overlap, so that the overlap at rest is a margin.
+        """
         if self._chains.arrays.acts:
             # No energy bounds a driven motion. An approach of a million lengths of the column is
             # certainly unstable.
