@@ -8,13 +8,16 @@ it.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..engines.linear.engine import Chebyshev
 from ..engines.linear.model_error import passage, unlike
-from ..errors import shown
-from ..scene.scene import Scene
+from ..errors import InputError, shown
+from ..scene.scene import Scene, check_scene
 from ..theory.domain import exponents, require
+from ..util.arrays import numbers
 
 WEAK = 1e-6  # Strike number far below the opening of any contact.
 # For each norm: the error of linear theory over (delta - 1) v0* for weak strikes, and its
@@ -64,8 +67,10 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
     Raises
     ------
     InputError
-        If the norm is unknown.
+        If the norm is unknown, or if a number is outside its range.
     """
+    positive = numbers(strike_number, "strike_number") >= 0
+    require(("strike_number", positive, f"must be 0 or more (got {shown(strike_number)})"))
     slope, limit = _linear_constants(norm, exponent, grain)
     return slope * strike_number / (1 + slope * strike_number / limit)
 
@@ -94,8 +99,10 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
     >>> {norm: round(strike_number_at(0.01, norm), 3) for norm in LINEAR}
     {'velocity': 0.037, 'displacement': 0.11, 'package': 0.075, 'peak': 0.327}
     """
+    _check_error(error)
     slope, limit = _linear_constants(norm, exponent, grain)
-    return error / slope / (1 - error / limit) if error < limit else np.inf
+    # Springs have no model error while they are closed.
+    return error / slope / (1 - error / limit) if slope and error < limit else np.inf
 
 
 def strike_number_where(error: float, scene: Scene) -> float:
@@ -115,7 +122,17 @@ def strike_number_where(error: float, scene: Scene) -> float:
     -------
     float
         Strike number v0*.
+
+    Raises
+    ------
+    InputError
+        If nothing compresses the chain at rest, so that linear theory does not apply.
     """
+    check_scene(scene)
+    _check_error(error)
+    if not math.isfinite(scene.strike_number):
+        message = "without gravity and load linear theory does not apply: add one of them"
+        raise InputError.at("gravity", message)
     if struck_column(scene):
         delta = scene.chain.law.power_of("the law of struck columns")
         return strike_number_at(error, "package", delta)
@@ -155,8 +172,16 @@ def struck_column(scene: Scene) -> bool:
     return bool(scene.duration <= 10 * passage(scene).sum())
 
 
+def _check_error(error: float) -> None:
+    """Raise `InputError` unless a relative error is above 0."""
+    require(("error", numbers(error, "error") > 0, f"must be above 0 (got {shown(error)})"))
+
+
 def _linear_constants(norm: str, exponent: float, grain: int) -> tuple[float, float]:
-    require(("norm", norm in LINEAR, f"must be one of {', '.join(LINEAR)} (got {shown(norm)})"))
+    require(
+        ("norm", norm in LINEAR, f"must be one of {', '.join(LINEAR)} (got {shown(norm)})"),
+        ("grain", numbers(grain, "grain") >= 1, f"must be 1 or more (got {shown(grain)})"),
+    )
     xi, _, _ = exponents(exponent)
     slope, limit = LINEAR[norm]
     spread = grain ** (0.75 * xi - 0.5) if norm == "peak" else 1.0

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ..chain.bounds import LIMITS
 from ..engines.base import Engine
 from ..engines.stepping.step_choice import FIRST_STEP
+from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array, numbers
 from .predictability import amplifies, predicted_time
@@ -36,8 +37,15 @@ def hertz_excess(strain: ArrayLike) -> Array:
     Spheres of radius R with the contact radius a have ``o = 2 a artanh(a/R)`` and
     ``F = 2 E* [(a^2 + R^2) artanh(a/R) - a R]``; I. N. Sneddon, Int. J. Eng. Sci. 3, 47 (1965). The
     excess is about ``strain / 10``. Deviations from half-spaces and yielding are not included.
+
+    Raises
+    ------
+    InputError
+        If the overlap is not between 0 and the diameter.
     """
     strain = numbers(strain, "strain")
+    if not ((strain > 0) & (strain < 1)).all():
+        raise InputError.at("strain", f"must be between 0 and 1 (got {shown(strain)})")
     # Newton's method for x = a / R.
     x = np.sqrt(strain)
     for _ in range(20):

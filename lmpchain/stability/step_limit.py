@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from .. import engines
-from ..errors import InputError, RunFailed
+from ..errors import InputError, RunFailed, not_among
 from ..integrators.methods import METHODS
 from ..integrators.steps import Steps
 from ..scene.scene import Scene
@@ -97,6 +97,11 @@ def limit(scene: Scene, integrator: str) -> float:
     float
         Time step, s.
 
+    Raises
+    ------
+    InputError
+        If the integrator is unknown.
+
     Examples
     --------
     >>> from lmpchain import Chain, Impulse
@@ -107,6 +112,8 @@ def limit(scene: Scene, integrator: str) -> float:
     """
     from scipy.optimize import brentq
 
+    if integrator not in METHODS:
+        raise InputError.at("integrator", not_among(integrator, tuple(METHODS)))
     method = METHODS[integrator]
     edge = scene.reached.chain.band_edge
     highest = struck_frequency(scene)

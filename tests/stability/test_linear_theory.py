@@ -28,6 +28,8 @@ from lmpchain import Chain, Displacement, Impulse, InputError
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.engines.linear.model_error import expected_error, passage
 from lmpchain.stability import linear_theory
+from lmpchain.stability.pre_run import hertz_excess
+from lmpchain.stability.step_limit import limit
 from lmpchain.theory import bessel, continuum, front
 
 TAU = 14.555  # A time of 100 us at g.
@@ -207,6 +209,34 @@ def test_fig_5_is_beyond_linear_theory(name, error):
     scene = paper(name, 101)
     assert linear_error(scene)["velocity"] == pytest.approx(error, abs=0.01)
     assert scene.strike_number > 3 * linear_theory.strike_number_at(0.1, "velocity")
+
+
+def test_numbers_outside_their_range_are_refused():
+    law = linear_theory.linear_law
+    inverse = linear_theory.strike_number_at
+    scene = paper("weak", 3)
+    vacuum = struck(Chain(grains=5, diameter=1e-3, gravity=0.0), 0.1, 1e-5)
+    for call, message in (
+        (lambda: law(-1.0, "velocity"), r"strike_number: must be 0 or more \(got -1\.0\)"),
+        (lambda: law(np.nan, "velocity"), "strike_number: must be 0 or more"),
+        (lambda: law("1", "velocity"), "strike_number: must be numbers, not text"),
+        (lambda: law(1.0, "peak", grain=0), r"grain: must be 1 or more \(got 0\)"),
+        (lambda: inverse(0.0, "velocity"), r"error: must be above 0 \(got 0\.0\)"),
+        (lambda: inverse(-0.1, "velocity"), "error: must be above 0"),
+        (lambda: linear_theory.strike_number_where(-0.1, scene), "error: must be above 0"),
+        (
+            lambda: linear_theory.strike_number_where(0.1, vacuum),
+            "gravity: without gravity and load",
+        ),
+        (lambda: linear_theory.strike_number_where(0.1, None), "scene: must be a Scene"),
+        (lambda: limit(scene, "euler"), r"integrator: must be verlet \| .* \(got 'euler'\)"),
+        *((lambda s=s: hertz_excess(s), "strain: must be between 0") for s in (0.0, -0.1, 1.0)),
+    ):
+        with pytest.raises(InputError, match=f"^{message}"):
+            call()
+    assert law(0.0, "peak", grain=1) == law(7.0, "velocity", 1.0) == 0
+    # Linear theory of springs that stay closed is exact.
+    assert inverse(1e-9, "velocity", 1.0) == np.inf
 
 
 def test_norms_are_named():
