@@ -275,11 +275,18 @@ class Ensemble(StreamedAverages, Tabular):
         """Draw the mean velocity against grain number at one sample, and return the axes.
 
         A band around the mean shows two standard errors.
+
+        Raises
+        ------
+        InputError
+            If there is no such sample.
         """
+        check(fault_of_whole("sample", sample, -self.time.size, self.time.size - 1))
         ax = chart(ax, "grain number, from the top", "mean velocity, downward [m/s]")
         label = f"m = {self.m:g}: mean of {self.realisations} chains"
-        mean = self.velocity[sample]
-        draw_mean(ax, self.grains, mean, self.velocity_error[sample], label, "± 2 st. errors")
+        order = np.argsort(self.grains)
+        mean, error = (x[sample, order] for x in (self.velocity, self.velocity_error))
+        draw_mean(ax, self.grains[order], mean, error, label, "± 2 st. errors")
         return finish(ax, f"t = {prefixed(self.time[sample], 's')}")
 
 

@@ -401,6 +401,14 @@ def test_picture_of_a_mean():
     assert axes.yaxis.get_major_formatter()(2e-6) == "2 µm/s"
     for count, bands in ((1, 0), (2, 1)):
         assert len(ensemble(weakly_struck(), 2, count, seed=1).plot().collections) == bands
+    # Grains are drawn along the chain, in whatever order they are recorded.
+    mixed = ensemble(weakly_struck().replace(grains=[7, 2, 5]), 2, 2, seed=1)
+    (line,) = mixed.plot().lines
+    assert line.get_xdata().tolist() == [2, 5, 7]
+    assert line.get_ydata().tolist() == mixed.velocity[-1, [1, 2, 0]].tolist()
+    for sample in (mixed.time.size, -1 - mixed.time.size, 1.5):
+        with pytest.raises(InputError, match=r"^sample: must be a whole number from -"):
+            mixed.plot(sample=sample)  # type: ignore[arg-type]
 
 
 def test_averages_at_the_end():
