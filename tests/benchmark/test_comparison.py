@@ -168,6 +168,8 @@ def test_a_picture_in_axes_of_the_user():
     axes = mine.subplots(1, 3)
     assert compare([answer], truth).plot(axes) is axes[0]
     assert all(ax.lines for ax in axes)
+    named = [text.get_text() for text in axes[0].get_legend().get_texts()]
+    assert named == ["reference", answer.engine]
 
 
 def test_a_picture_of_a_chain_at_rest(tmp_path: Any):
