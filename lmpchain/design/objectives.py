@@ -523,8 +523,8 @@ class DriveWork:
     """The work done by the drive of grain 1, J, in addition to the work against forces at rest.
 
     The work is the increase of the kinetic energy of grain 1, plus the time integral of its
-    velocity times the force of the contact below it. The integral is computed by the trapezoidal
-    rule with Gregory's corrections at both ends.
+    velocity times the force of the contact below it, minus that of a contact with a top wall. The
+    integral is computed by the trapezoidal rule with Gregory's corrections at both ends.
     """
 
     dense = True
@@ -538,26 +538,36 @@ class DriveWork:
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the work and its derivatives."""
-        force = contact_force(view, 1)
-        # A sum over times has no derivative, because viscous forces open with a vertical tangent.
-        if view.scene.chain.contact_viscosity[1] > 0 and not force.by_closing.all():
-            message = "DriveWork needs a viscous contact that stays closed: press it more, or use"
-            raise InputError.at("objective", f"{message} the Energy of grains")
-        change = force.value - view.scene.chain.contacts.force[1]
+        contacts = view.scene.chain.contacts
         m = view.scene.chain.masses[0]
         v = view.velocity[:, 0]
         weight = quadrature(v.size) * view.time[1]
-        slopes = view.slopes(float(m / 2 * (v[-1] ** 2 - v[0] ** 2) + weight @ (change * v)))
-        slopes.displacement[:, 0] = weight * v * force.by_closer
-        slopes.displacement[:, 1] = -weight * v * force.by_closer
-        slopes.velocity[:, 0] = weight * (change + v * force.by_closing)
-        slopes.velocity[:, 1] = -weight * v * force.by_closing
+        value = float(m / 2 * (v[-1] ** 2 - v[0] ** 2))
+        slopes = view.slopes(value)
         slopes.velocity[-1, 0] += m * v[-1]
         slopes.velocity[0, 0] -= m * v[0]
         slopes.masses[0] = (v[-1] ** 2 - v[0] ** 2) / 2
-        slopes.forces[1] = (weight * v) @ (force.by_force - 1)
-        slopes.constants[1] = (weight * v) @ force.by_constant
-        slopes.viscosity[1] = (weight * v) @ force.by_viscosity
+        # The contact below pushes grain 1 up, and a top wall pushes it down.
+        for contact in (1, 0) if contacts.exists[0] else (1,):
+            upward = 1 if contact == 1 else -1
+            force = contact_force(view, contact)
+            # A sum over times has no derivative, because viscous forces open with a vertical
+            # tangent.
+            if view.scene.chain.contact_viscosity[contact] > 0 and not force.by_closing.all():
+                message = "DriveWork needs a viscous contact that stays closed: press it more, or"
+                raise InputError.at("objective", f"{message} use the Energy of grains")
+            path = upward * weight * v
+            change = force.value - contacts.force[contact]
+            value += float(path @ change)
+            slopes.velocity[:, 0] += upward * weight * change
+            for grain in force.grains:
+                sign = 1 if grain == contact else -1
+                slopes.displacement[:, grain - 1] += sign * path * force.by_closer
+                slopes.velocity[:, grain - 1] += sign * path * force.by_closing
+            slopes.forces[contact] = path @ (force.by_force - (contacts.force[contact] > 0))
+            slopes.constants[contact] = path @ force.by_constant
+            slopes.viscosity[contact] = path @ force.by_viscosity
+        slopes = slopes._replace(value=value)
         law = view.scene.chain.ground
         if law is not None:
             # The drive also pushes grain 1 against the ground.

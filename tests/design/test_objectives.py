@@ -43,12 +43,13 @@ DRIVEN = STRUCK.replace(
         interpolation="spline",
     ),
 )
+BETWEEN_WALLS = STRUCK.chain.replace(top="wall")
 OBJECTIVES = {
     "peak force": (STRUCK, PeakForce(3)),
     "peak force at a wall": (STRUCK, PeakForce(8, sharpness=30)),
     "energy": (STRUCK, Energy([2, 3, 4], time=1e-5)),
     "energy with a wall": (
-        STRUCK.replace(chain=STRUCK.chain.replace(top="wall")),
+        STRUCK.replace(chain=BETWEEN_WALLS),
         Energy([1, 2, 7, 8]),
     ),
     "kinetic energy": (STRUCK, KineticEnergy([2, 3, 4], time=1e-5)),
@@ -57,6 +58,7 @@ OBJECTIVES = {
     "misfit": (STRUCK, Misfit([3, 6], np.full((9, 2), 1e-3), scale=1e-4)),
     "misfit of displacements": (STRUCK, Misfit([3], np.full((9, 1), 1e-9), "displacement", 1e-9)),
     "work": (DRIVEN, DriveWork()),
+    "work against a wall": (DRIVEN.replace(chain=BETWEEN_WALLS), DriveWork()),
     "function": (DRIVEN, Function(square, [1, 4])),
 }
 
@@ -64,7 +66,7 @@ OBJECTIVES = {
 @pytest.mark.parametrize("case", OBJECTIVES)
 def test_objectives_have_the_derivatives_that_differences_show(rng: np.random.Generator, case: str):
     scene, objective = OBJECTIVES[case]
-    names = ["masses", "contact_constants", "top_load"] + ["drive"] * (scene is DRIVEN)
+    names = ["masses", "contact_constants", "top_load"] + ["drive"] * (scene.drive is not None)
     method = SPLITTINGS["rkn4"]
     chain = scene.chain
     _, gradients, _ = at_step(scene, objective, names, method, 2e-7)

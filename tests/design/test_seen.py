@@ -312,9 +312,10 @@ def test_objectives_without_a_meaning_are_rejected(objective: Any, message: str)
     assert Momentum(2).grains(swinging(1.0, 9)) == Momentum([2.0]).grains(swinging(1.0, 9)) == [2]
 
 
-def test_the_work_of_a_drive_is_that_of_its_force():
+@pytest.mark.parametrize("top", ["free", "wall"])
+def test_the_work_of_a_drive_is_that_of_its_force(top: str):
     """A sine motion of grain 1 against a moving grain, by quadrature of another integrator."""
-    chain = Chain(grains=3, diameter=1e-3, top_load=0.02)
+    chain = Chain(grains=3, diameter=1e-3, top_load=0.02, top=top)
     amplitude = 0.3 * chain.length_scale
     frequency = 2e4
     drive = Drive(amplitude=amplitude, frequency=frequency)
@@ -324,6 +325,8 @@ def test_the_work_of_a_drive_is_that_of_its_force():
     v = run.velocity[:, 0]
     law = chain.contacts
     force = law.constant[1] * (law.overlap[1] + u[:, 0] - u[:, 1]) ** 1.5 - law.force[1]
+    if top == "wall":
+        force -= law.constant[0] * (law.overlap[0] - u[:, 0]) ** 1.5 - law.force[0]
     weight = np.ones(1001)
     weight[1:-1:2] = 4.0
     weight[2:-1:2] = 2.0
