@@ -10,6 +10,9 @@ where F_n are the elastic forces alone. Then no force depends on a velocity:
 
     x' = w + b(x) - gamma x,    w' = (F_(n-1) - F_n) / m_n + g.
 
+The viscous force of a law by formula is A dF/dt at every overlap, so that it also acts in an open
+contact that pulls.
+
 ========  =============  ===============================================
 symbol    variable       meaning
 ========  =============  ===============================================
@@ -221,6 +224,9 @@ def viscous_force(contacts: Contacts, viscosity: Array, overlap: Array, closing:
     overlap, closing : (..., C) arrays
         Overlap o, m; its rate of change o', m/s.
     """
+    if contacts.law.power is None:
+        # The stiffness of a law by formula is 0 in an open contact, unless the contact pulls.
+        return np.asarray(viscosity * contacts.stiffness_at(overlap) * closing)
     # An open contact exerts no viscous force.
     stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0))
     return np.where(overlap > 0, viscosity * stiffness * closing, 0.0)

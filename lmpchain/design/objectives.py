@@ -158,20 +158,18 @@ def _by_formula(
     """Return the force of a contact with a law by formula, and its derivatives by the motion."""
     overlap = law.overlap + closer
     stiffness = law.stiffness_at(overlap)
-    # An open contact has no viscous force, even if its law pulls.
-    viscous = np.where(overlap > 0, viscosity, 0.0)
     growth = np.zeros(closer.shape)
     if viscosity > 0:
-        curvature = law.law.curvature(overlap, law.constant)
-        growth = np.where(overlap > 0, viscous * curvature * closing, 0.0)
+        # An open contact that pulls has a viscous force, too.
+        growth = viscosity * law.law.curvature(overlap, law.constant) * closing
     unknown = np.full(closer.shape, np.nan)
     return ContactForce(
-        value=law.force + law.force_change(closer) + viscous * stiffness * closing,
+        value=law.force + law.force_change(closer) + viscosity * stiffness * closing,
         by_closer=stiffness + growth,
-        by_closing=viscous * stiffness,
+        by_closing=viscosity * stiffness,
         by_force=unknown,
         by_constant=unknown,
-        by_viscosity=np.where(overlap > 0, stiffness * closing, 0.0),
+        by_viscosity=stiffness * closing,
         grains=grains,
     )
 

@@ -15,6 +15,7 @@ import pytest
 from helpers import extrapolated_midpoint
 from helpers.extrapolated_midpoint import TERMS, Term
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from lmpchain import Chain, Drive, Impulse, InputError, Law, Scene, laws, simulate
 from lmpchain.design import (
@@ -31,6 +32,7 @@ from lmpchain.design import (
     sensitivity,
 )
 from lmpchain.design.differences import differentiate, size_by_force
+from lmpchain.design.objectives import Seen, contact_force
 from lmpchain.errors import RunFailed
 from lmpchain.measure import contact, energy
 
@@ -511,6 +513,22 @@ def test_missing_derivatives_are_refused(name: str, chain: dict[str, Any], messa
     scene = PLAIN.replace(chain=PRESSED.replace(**chain))
     with pytest.raises(InputError, match=message.replace("|", r"\|")):
         gradient(scene, Momentum([1]), [name])
+
+
+def test_a_viscous_bond_has_the_force_that_the_momentum_shows() -> None:
+    """Contact 3 alone acts on grains 1 to 3, also while the bond is stretched."""
+    chain = BONDED.replace(law=laws.toda(b=5e5, k=1e6), damping={"viscoelastic": 1e-7})
+    scene = CASES["toda"].scene.replace(chain=chain, samples=401)
+    run = simulate(scene, "native", tolerance=1e-9)
+    acceleration = make_interp_spline(run.time, run.velocity, k=5)(run.time, 1)
+    true = -MASS * acceleration[:, :3].sum(axis=1)
+    u, v = run.displacement[:, 2:4], run.velocity[:, 2:4]
+    assert 0.1 < np.mean(u[:, 0] < u[:, 1]) < 0.9
+    view = Seen(scene, run.time, np.array([3, 4]), u, v)
+    for found in (contact_force(view, 3).value, contact.contacts(run, [3]).force[:, 0]):
+        np.testing.assert_allclose(found, true, rtol=0, atol=1e-5 * np.abs(true).max())
+    ledger = energy.ledger(run)
+    np.testing.assert_allclose(ledger.total + ledger.dissipated, ledger.total[0], rtol=1e-6)
 
 
 def test_a_drive_excludes_initial_motion() -> None:
