@@ -393,6 +393,7 @@ def at_the_end(
     InputError
         As for `ensemble`.
     """
+    check_scene(scene)
     check(fault_of_count(realisations, 2), fault_of_whole("seed", seed, 0))
     end = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=2)
     averages = [ensemble(end, m, realisations, seed, progress=progress) for m in orders]

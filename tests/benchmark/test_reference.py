@@ -288,6 +288,10 @@ def test_long_scenes_have_a_native_reference(capsys: pytest.CaptureFixture[str])
     np.testing.assert_array_equal(shown.velocity[:, 0], found.velocity[:, 1])
     np.testing.assert_array_equal(shown.displacement[:, 0], found.displacement[:, 1])
     assert (shown.error_estimate.model, shown.error_estimate.solver) == (0.0, found.error)
+    # The solution is given, so that it has no cost.
+    cost = shown.cost
+    assert (cost.integration_s, cost.estimate_s, cost.setup_s, cost.step_s) == (0, 0, 0, 0)
+    assert (cost.steps, cost.force_evaluations, cost.active_grains, cost.ranks) == (0, 0, 3, 1)
 
 
 def on_springs(**chain):

@@ -373,15 +373,16 @@ def test_a_fit_finds_the_ground_of_a_harmonic_grain() -> None:
         found.plot(axes[0])
 
 
-def test_the_size_of_a_parameter_follows_from_the_largest_force() -> None:
-    """A grain between linear walls: c o^2 is as large as k o at the largest overlap."""
+@pytest.mark.parametrize("top", ["free", "wall"])
+def test_the_size_of_a_parameter_follows_from_the_largest_force(top: str) -> None:
+    """A grain on or between linear walls: c o^2 is as large as k o at the largest overlap."""
     chain = Chain(
-        grains=1, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall",
+        grains=1, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall", top=top,
         law=Law("k*o + c*o**2", c=0.0),
     )  # fmt: skip
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-6, samples=3)
     wall = chain.contacts.constant[1]
-    largest = 1.0 / wall + 1e-2 / np.sqrt(wall / MASS)
+    largest = 1.0 / wall + 1e-2 / np.sqrt((1 + (top == "wall")) * wall / MASS)
     assert size_by_force(scene, "chain.law.c") == pytest.approx(wall / largest, rel=1e-2)
 
 

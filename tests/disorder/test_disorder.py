@@ -172,6 +172,7 @@ def test_chains_are_drawn_by_a_generator():
     for change in ({"rng": 1}, {"rng": None}, {"size": -1}, {"size": 2.0}):
         options: dict[str, Any] = {"m": 2, "size": 3, "rng": generator()} | change
         assert fault_keys(factors, **options) == list(change)
+    assert fault_keys(at_the_end, None, [2], 3, 1) == ["scene"]
     assert fault_keys(ensemble, None, 2, 3, 1) == fault_keys(realisation, None, 2, 1) == ["scene"]
 
 
