@@ -44,6 +44,9 @@ DRIVEN = STRUCK.replace(
     ),
 )
 BETWEEN_WALLS = STRUCK.chain.replace(top="wall")
+VACUUM = STRUCK.replace(
+    chain=STRUCK.chain.replace(top_load=0.0, gravity=0.0), excitation=Impulse(velocity=0.1)
+)
 OBJECTIVES = {
     "peak force": (STRUCK, PeakForce(3)),
     "peak force at a wall": (STRUCK, PeakForce(8, sharpness=30)),
@@ -52,6 +55,7 @@ OBJECTIVES = {
         STRUCK.replace(chain=BETWEEN_WALLS),
         Energy([1, 2, 7, 8]),
     ),
+    "energy in a vacuum": (VACUUM, Energy([1, 2])),
     "kinetic energy": (STRUCK, KineticEnergy([2, 3, 4], time=1e-5)),
     "momentum": (STRUCK, Momentum([2, 5])),
     "arrival": (STRUCK, ArrivalTime(4, 1e-3)),
@@ -66,7 +70,9 @@ OBJECTIVES = {
 @pytest.mark.parametrize("case", OBJECTIVES)
 def test_objectives_have_the_derivatives_that_differences_show(rng: np.random.Generator, case: str):
     scene, objective = OBJECTIVES[case]
-    names = ["masses", "contact_constants", "top_load"] + ["drive"] * (scene.drive is not None)
+    names = ["masses", "contact_constants"] + ["drive"] * (scene.drive is not None)
+    if scene.chain.compressed:
+        names.append("top_load")
     method = SPLITTINGS["rkn4"]
     chain = scene.chain
     _, gradients, _ = at_step(scene, objective, names, method, 2e-7)
