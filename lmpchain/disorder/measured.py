@@ -378,14 +378,7 @@ def within(
         raise InputError.at("distribution", not_among(distribution, ["normal", "uniform"]))
     if not isinstance(tolerances, Mapping) or not tolerances:
         raise InputError.at("tolerances", f"must be a dict of numbers (got {shown(tolerances)})")
-    common = (common,) if isinstance(common, str) else common
-    if not isinstance(common, Collection):
-        raise InputError.at(
-            "common", f"must be names of properties of grains (got {shown(common)})"
-        )
-    for key in common:
-        if key not in OF_GRAINS:
-            raise InputError.at("common", not_among(key, tuple(OF_GRAINS)))
+    common = _common_names(common)
     widths = {}
     for key, value in tolerances.items():
         field = str(key).removeprefix("excitation.")
@@ -409,6 +402,17 @@ def within(
             yield _drawn(scene, widths, distribution, common, rng)
 
     return _gather(scenes(), measure, realisations, engine, tolerance, x, progress)
+
+
+def _common_names(common: object) -> tuple[str, ...]:
+    """Return names of properties of grains as a tuple; raise `InputError` for other values."""
+    names = (common,) if isinstance(common, str) else common
+    if not isinstance(names, Collection):
+        raise InputError.at("common", f"must be names of properties (got {shown(common)})")
+    for key in names:
+        if key not in OF_GRAINS:
+            raise InputError.at("common", not_among(key, tuple(OF_GRAINS)))
+    return tuple(names)
 
 
 def _drawn(

@@ -80,7 +80,8 @@ def test_jacobians_agree_with_differences(field: str):
 def test_a_displaced_grain_is_held_until_it_is_released(field: str):
     start = np.where(np.arange(10) == 3, 4e-8, 0.0)
     scene = SCENE.replace(excitation=Profile(displacement=start))
-    traces = Traces(SCENE.time[:41], [4], np.zeros((41, 1)), field, trigger=True)  # type: ignore[arg-type]
+    time = SCENE.time[:41]
+    traces = Traces(time, [4], 0 * time, field, trigger=True)  # type: ignore[arg-type]
     problem = Problem(scene, [traces], {"displacement": [4], "contact_constants": [4]})
     theta = np.array([0.01, 0.02, 0.0]) + problem.free(np.array([0.0, 0.0, 4.3e-6])) * [0, 0, 1]
     (held,) = problem.predict(theta)

@@ -55,7 +55,7 @@ OBJECTIVES = {
         STRUCK.replace(chain=BETWEEN_WALLS),
         Energy([1, 2, 7, 8]),
     ),
-    "energy in a vacuum": (VACUUM, Energy([1, 2])),
+    "energy in a vacuum": (VACUUM, Energy([1, 2], time=2.5e-6)),
     "kinetic energy": (STRUCK, KineticEnergy([2, 3, 4], time=1e-5)),
     "momentum": (STRUCK, Momentum([2, 5])),
     "arrival": (STRUCK, ArrivalTime(4, 1e-3)),
