@@ -11,8 +11,9 @@ import pytest
 from helpers.own_inputs import INPUTS, LEVEL, run_input, silent_lammps, tapered_data
 from scipy.optimize import brentq
 
-from lmpchain import InputError, LmpchainError, Scene
+from lmpchain import Impulse, InputError, LmpchainError, Profile, Scene
 from lmpchain.cli.command_line import main
+from lmpchain.scene.base import Excitation
 from lmpchain.scene.lammps_column import RunOptions, infer_scene
 from lmpchain.scene.lammps_input import LammpsInput
 from lmpchain.trajectory.lammps_dump import scene_of_run
@@ -174,6 +175,60 @@ def test_forces_and_displacements_follow_from_the_lines(name: str, tmp_path: Pat
         assert contacts.constant[0] == pytest.approx(WALL_STIFF, rel=1e-14)
     drag = 0.5 / MASS if name == "drags" else 0.0
     assert scene.chain.drag[:2] == pytest.approx([drag, 3 * drag], rel=1e-14, abs=0)
+
+
+STARTS = {  # Lines that are added before the run, a finding, and the excitation.
+    "one grain": ("", "grain 1 moves at 0.1 m/s, positive downward", Impulse(velocity=0.1)),
+    "grain 2": (
+        "velocity all set 0 0 0\nset atom 2 vx -0.25",
+        "grain 2 moves at -0.25 m/s, positive downward",
+        Impulse(velocity=-0.25, grain=2),
+    ),
+    "two grains": (
+        "set atom 2 vx -0.25",
+        "velocities of 2 grains, up to 0.25 m/s",
+        Profile(velocity=[0.1, -0.25, 0.0]),
+    ),
+    "nothing": ("set atom * vx 0", "nothing moves: change [excitation]", Impulse(velocity=0.0)),
+    "a displacement": (
+        "set atom 1 x -0.001",
+        "displacements from rest up to 0.001 m, velocities up to 0.1 m/s",
+        Profile(displacement=[-0.001, 0.0, 0.0], velocity=[0.1, 0.0, 0.0]),
+    ),
+}
+
+
+@pytest.mark.parametrize(("lines", "finding", "excitation"), STARTS.values(), ids=STARTS)
+def test_the_start_is_the_simplest_excitation(
+    lines: str, finding: str, excitation: Excitation, tmp_path: Path
+) -> None:
+    """Grains that only touch are struck, and a profile contains displacements from touching."""
+    touching = f"set atom 1 x 0\nset atom 2 x 0.01\nset atom 3 x 0.02\n{lines}\ntimestep"
+    understood = read(tmp_path, START.replace("timestep", touching))
+    assert dict(understood.facts)["start"] == finding
+    found = understood.fields["excitation"]
+    if finding.startswith("displacements"):
+        assert found.displacement == pytest.approx(excitation.displacement, rel=1e-12, abs=0)
+        found = found.replace(displacement=excitation.displacement)
+    assert found == excitation
+
+
+@pytest.mark.parametrize(
+    ("lines", "samples", "duration"),
+    [
+        ("dump 1 all custom 20 a id x", 6, 1e-5),
+        ("dump 1 all custom 30 a id x", 101, 1e-5),
+        ("dump 1 all custom 200 a id x", 101, 1e-5),
+        ("dump 1 all custom 50 a id x\nrun 0\nrun 50", 4, 1.5e-5),
+        ("reset_timestep 40\nrun 100 upto\nlattice none 1.0", 101, 1.6e-5),
+        ("reset_timestep 140\nrun 100 upto", 101, 1e-5),
+    ],
+)
+def test_samples_are_the_frames_of_the_dump(
+    lines: str, samples: int, duration: float, tmp_path: Path
+) -> None:
+    found = read(tmp_path, START.replace("run 100", f"{lines}\nrun 100")).fields
+    assert (found["samples"], found["duration"]) == (samples, pytest.approx(duration, rel=1e-12))
 
 
 def test_a_held_top_grain_has_no_displacement(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -392,6 +447,21 @@ REFUSED = {
     "units lj": ("units", "units lj", "has no scale: add --units LENGTH,TIME,MASS"),
     "no units": ("units", "", "has no command units, so LAMMPS uses lj"),
     "a lattice": ("", "lattice sc 0.01", "scales positions"),
+    "a scale": ("", "lattice none 2.0", "scales positions"),
+    "a dimension": ("", "dimension 1", "must be 2 or 3"),
+    "two boundaries": ("", "boundary f f", "must have three words, such as boundary f f f"),
+    "a run with more": ("run", "run 100 every 10 NULL", "has options that are not understood"),
+    "an edge": ("", "create_atoms 1 single 0.2 0 0", "is outside of the box"),
+    "a turned grain": ("", "create_atoms 1 single 0.1 0 0 rotate 1", "has options that are not"),
+    "more data": ("", "read_data a.data add append", "has options that are not read"),
+    "a molecule": ("", "set mol 1 vx 0", "chooses grains by mol: use atom, type or group"),
+    "half an option": ("", "velocity all set 0 0 0 sum", "has options that are not read"),
+    "a temperature": ("", "velocity all set 0 0 0 temp t", "has options that are not read"),
+    "no velocities": ("", "velocity all set 0 0", "gives velocities that are not read: use set"),
+    "an empty group": ("", "group g id", "is too short"),
+    "a long range": ("", "set atom 1:2:1:1 vx 0", "has a range that is not understood, '1:2:1:1'"),
+    "a starred range": ("", "set atom 1*2*3 vx 0", "has a range that is not understood, '1*2*3'"),
+    "no fix": ("", "fix 9 all", "is too short"),
     "an atom style": ("atom_style", "atom_style ellipsoid", "must be sphere, bond"),
     "an open variable": ("", "timestep ${dt}", "uses the variable dt, whose value is not known"),
     "a random variable": (
@@ -755,6 +825,29 @@ def test_rest_lengths_of_bonds_are_distances_of_touching_grains(
     assert chain.law.force(-2e-4, chain.contact_constants) == pytest.approx(
         np.array([1000.0, 1400.0, 1200.0]) * mass * -2e-4, rel=1e-12
     )
+
+
+@pytest.mark.parametrize(
+    ("words", "pairs"),
+    [
+        ("e o 1 0.0105 0.0125", [(2, 3), (3, 4)]),
+        ("o e 2 0.0105 0.04", [(1, 4), (2, 3), (3, 4)]),
+        ("all all 1 0.0099 0.0225", [(1, 2), (1, 3), (2, 3), (3, 4)]),
+        ("e e 3 0.0 1.0", [(1, 3)]),
+    ],
+)
+def test_bonds_within_a_distance_join_two_groups(
+    words: str, pairs: list[tuple[int, int]], tmp_path: Path
+) -> None:
+    """The four atoms are at 0, 10, 22 and 33 mm; the groups are the odd and the even ones."""
+    text = bonds("si", [0.01, 0.012, 0.011])
+    head, _, tail = text.partition("create_bonds single/bond 1 1 2\n")
+    path = tmp_path / "in.own"
+    groups = "group e id 1 3\ngroup o id 2 4\n"
+    path.write_text(f"{head}{groups}create_bonds many {words}\n{tail[tail.index('group') :]}")
+    found = LammpsInput(path).state.bonds
+    assert sorted((bond.first, bond.second) for bond in found) == pairs
+    assert {bond.kind for bond in found} == {int(words.split()[2])}
 
 
 def test_impossible_bonds_are_rejected(tmp_path: Path) -> None:
