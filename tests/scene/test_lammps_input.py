@@ -2,6 +2,7 @@
 
 import math
 import random
+import re
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -175,6 +176,54 @@ def test_forces_and_displacements_follow_from_the_lines(name: str, tmp_path: Pat
         assert contacts.constant[0] == pytest.approx(WALL_STIFF, rel=1e-14)
     drag = 0.5 / MASS if name == "drags" else 0.0
     assert scene.chain.drag[:2] == pytest.approx([drag, 3 * drag], rel=1e-14, abs=0)
+
+
+def opposite(word: str) -> str:
+    """Return a number with the opposite sign; NULL has none."""
+    return (
+        word
+        if word in ("NULL", "0", "0.0")
+        else word.removeprefix("-")
+        if word[0] == "-"
+        else f"-{word}"
+    )
+
+
+def upward(text: str) -> str:
+    """Return an input along z, which points up, in place of x, which points down."""
+    text = text.replace("-0.01 0.2 -0.01 0.01 -0.01 0.01", "-0.01 0.01 -0.01 0.01 -0.2 0.01")
+    for pattern in (r"(single|vector|addforce) (\S+) (0) (0)", r"(xplane) (\S+) (\S+)(.*)"):
+        text = re.sub(
+            pattern,
+            lambda m: (
+                f"zplane {opposite(m[3])} {opposite(m[2])}{m[4]}"
+                if m[1] == "xplane"
+                else f"{m[1]} 0 0 {opposite(m[2])}"
+            ),
+            text,
+        )
+    return re.sub(
+        r"\b(v?)x (\S+)$", lambda m: f"{m[1]}z {opposite(m[2])}", text, flags=re.MULTILINE
+    )
+
+
+# A strike in the middle has no upper side, and the drag of a held grain is arbitrary.
+@pytest.mark.parametrize(
+    "name", [n for n in UNDERSTOOD if n not in ("stops at both ends", "drags")]
+)
+def test_a_column_upside_down_is_the_same_scene(name: str, tmp_path: Path) -> None:
+    lines = UNDERSTOOD[name][0]
+    text = START.replace("timestep", f"{lines}\ntimestep")
+    down, up = (read(tmp_path, each) for each in (text, upward(text)))
+    assert dict(up.facts)["column"].startswith(
+        "3 grains along z, which points up: grain 1 is atom 1"
+    )
+    changed = {"column", "wall at -0.00551", "wall at 0.00551"}
+    facts = [{key: x for key, x in each.facts if key not in changed} for each in (down, up)]
+    assert facts[0] == facts[1]
+    one, other = (Scene(**each.fields) for each in (down, up))
+    assert one.chain == other.chain
+    assert np.array_equal(one.initial(), other.initial())
 
 
 STARTS = {  # Lines that are added before the run, a finding, and the excitation.
