@@ -180,31 +180,21 @@ def test_forces_and_displacements_follow_from_the_lines(name: str, tmp_path: Pat
 
 def opposite(word: str) -> str:
     """Return a number with the opposite sign; NULL has none."""
-    return (
-        word
-        if word in ("NULL", "0", "0.0")
-        else word.removeprefix("-")
-        if word[0] == "-"
-        else f"-{word}"
-    )
+    if word in ("NULL", "0", "0.0"):
+        return word
+    return word.removeprefix("-") if word.startswith("-") else f"-{word}"
 
 
 def upward(text: str) -> str:
     """Return an input along z, which points up, in place of x, which points down."""
     text = text.replace("-0.01 0.2 -0.01 0.01 -0.01 0.01", "-0.01 0.01 -0.01 0.01 -0.2 0.01")
-    for pattern in (r"(single|vector|addforce) (\S+) (0) (0)", r"(xplane) (\S+) (\S+)(.*)"):
-        text = re.sub(
-            pattern,
-            lambda m: (
-                f"zplane {opposite(m[3])} {opposite(m[2])}{m[4]}"
-                if m[1] == "xplane"
-                else f"{m[1]} 0 0 {opposite(m[2])}"
-            ),
-            text,
-        )
-    return re.sub(
-        r"\b(v?)x (\S+)$", lambda m: f"{m[1]}z {opposite(m[2])}", text, flags=re.MULTILINE
-    )
+    for pattern, turned in (
+        (r"(single|vector|addforce) (\S+) 0 0", lambda m: f"{m[1]} 0 0 {opposite(m[2])}"),
+        (r"xplane (\S+) (\S+)", lambda m: f"zplane {opposite(m[2])} {opposite(m[1])}"),
+        (r"\b(v?)x (\S+)\n", lambda m: f"{m[1]}z {opposite(m[2])}\n"),
+    ):
+        text = re.sub(pattern, turned, text)
+    return text
 
 
 # A strike in the middle has no upper side, and the drag of a held grain is arbitrary.

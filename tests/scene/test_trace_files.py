@@ -189,6 +189,12 @@ def test_a_trigger_between_two_samples_is_interpolated(between: float, tmp_path:
     force = Force(grain=1, file=path, trigger=between)
     np.testing.assert_allclose(force.times, [0, 1 - between, 2 - between])
     np.testing.assert_allclose(force.force, [1 + 2 * between, 3, 4])
+    # A sample within rounding errors of the trigger is at t = 0.
+    for first in (-1.0, -1.0 - 1e-9, -1.0 + 1e-9):
+        force = Force(grain=1, file=path, trigger=first)
+        np.testing.assert_allclose(force.times, [0, 1, 2, 3], rtol=0, atol=2e-9)
+        assert (force.times[0], force.force.tolist()) == (0.0, [0.0, 1.0, 3.0, 4.0])
+        assert "0 rows before it dropped" in force.source
     # Measured values of a fit are only those of the file.
     traces = Traces.from_csv(path, [3], trigger=between)
     np.testing.assert_allclose(traces.time, [1 - between, 2 - between])
@@ -260,6 +266,7 @@ REFUSED = {  # Content of the file, options, key, and a part of the message.
     "twice": ("t,F\n0,1\n0,2\n1,3\n", {}, "file", "line 3: time does not increase"),
     "before t = 0": ("t,F\n-1,1\n0,2\n1,3\n", {}, "trigger", "begins at -1 s"),
     "trigger outside": ("t,F\n0,1\n1,2\n", {"trigger": 2.0}, "trigger", "covers 0 to 1 s"),
+    "trigger before": ("t,F\n0,1\n1,2\n", {"trigger": -1e-3}, "trigger", "covers 0 to 1 s"),
     "trigger at the end": ("t,F\n0,1\n1,2\n", {"trigger": 1 - 1e-9}, "trigger", "within the tr"),
     "baseline outside": ("t,F\n0,1\n1,2\n", {"baseline": [2, 3]}, "baseline", "covers 0 to 1 s"),
     "baseline backwards": ("t,F\n0,1\n1,2\n", {"baseline": [1, 0]}, "baseline", "two times"),
