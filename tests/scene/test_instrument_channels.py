@@ -10,7 +10,7 @@ import pytest
 from helpers.instrument_files import ARRAYS, FILES, LATER, TIME, matlab, push
 from scipy.io import savemat
 
-from lmpchain import Drive, Force, InputError
+from lmpchain import Drive, Force, InputError, Profile
 from lmpchain.cli import main
 from lmpchain.design import Traces
 from lmpchain.util import array_files
@@ -34,6 +34,7 @@ def test_a_given_interval_overrides_contradictory_times(tmp_path: Path):
         assert f"by intervals of {interval:g} s" in force.source
 
 
+PLAIN = "t,F\n0,1\n1,2\n2,3\n"
 REFUSED = {  # Text, options, and a part of the message.
     "a counter": ("Sample,F\n0,1\n1,2\n2,3\n", {}, "time_scale: .*counts the samples"),
     "numbers that count": ("0,1\n1,2\n2,4\n", {"columns": [1, 2]}, "time_scale: .*counts"),
@@ -43,6 +44,31 @@ REFUSED = {  # Text, options, and a part of the message.
     "a lowpass of few": ("t,F\n0,1\n1,2\n2,3\n", {"lowpass": 0.1}, "lowpass: needs more than"),
     "a lowpass between gaps": (
         "t,F\n0,1\n1,2\n9,3\n", {"lowpass": 0.1}, "lowpass: needs evenly spaced"
+    ),
+    "another quantity": (PLAIN, {"columns": {"forces": 1}}, "columns: .forces. is not one of time"),
+    "no force": (PLAIN, {"columns": {"time": 1}}, "columns: has no entry for force: add it"),
+    "no columns": (PLAIN, {"columns": []}, "columns: must name one or more different columns"),
+    "a true column": (PLAIN, {"columns": [True, 2]}, r"columns: must be numbers, .* \(got True\)"),
+    "part of a column": (PLAIN, {"columns": 1.5}, r"columns: must be numbers, .* \(got 1.5\)"),
+    "parts of columns": (PLAIN, {"columns": [1, 2.5]}, r"columns: must be numbers, .* \(got 2.5\)"),
+    "two scales": (PLAIN, {"scale": [1.0, 2.0]}, "scale: must be one number, or 1 numbers, one"),
+    "two offsets": (PLAIN, {"offset": [1.0, 2.0]}, "offset: must be one number, or 1 numbers"),
+    "no scale": (PLAIN, {"scale": []}, "scale: must be a finite number, or one for each column"),
+    "a table of scales": (PLAIN, {"scale": [[1.0]]}, "scale: must be a finite number"),
+    "an endless offset": (PLAIN, {"offset": float("inf")}, "offset: must be a finite number"),
+    "three times": (PLAIN, {"baseline": [0, 1, 2]}, "baseline: must be two times, s, the first"),
+    "equal times": (PLAIN, {"baseline": [1, 1]}, "baseline: must be two times, s, the first"),
+    "none of them": (PLAIN, {"every": 0}, "every: must be"),
+    "a skip back": (PLAIN, {"skip": -1}, "skip: must be"),
+    "all but one": (PLAIN, {"every": 3}, "every: must be below 3, the number of samples"),
+    "a highest frequency": (PLAIN, {"lowpass": 0.51}, "lowpass: must be below 0.5 Hz, half the"),
+    "an empty line": (
+        "1.5\n2.5\n\n3.5\n",
+        {"columns": [1], "time_scale": 1e-6},
+        "file: .*line 3: is empty, but lines are counted as samples: fill it in or remove it",
+    ),
+    "two counters": (
+        "Sample,Index,F\n0,1,2\n1,3,4\n3,4,5\n", {"columns": ["F"]}, "time_scale: .*has no times",
     ),
     "too few left": ("t,F\n0,1\n1,2\n", {"every": 2}, "every: must be below 2"),
 }  # fmt: skip
@@ -56,6 +82,44 @@ def test_ambiguous_files_are_rejected(
     path.write_text(text)
     with pytest.raises(InputError, match=f"^{said}"):
         Force(grain=1, file=path, **options)
+
+
+@pytest.mark.parametrize(
+    ("field", "column", "said"),
+    [
+        ("force", "change_contact_4", "of a contact, above its value at rest, not change_force_4"),
+        ("force", "force_contact_4", "of a contact, including its value at rest, not change"),
+        ("contact", "change_force_4", "of a grain, the mean of its two contacts, above its value"),
+    ],
+)
+def test_tables_of_another_kind_of_force_are_rejected(
+    field: str, column: str, said: str, tmp_path: Path
+):
+    path = tmp_path / "own.csv"
+    path.write_text(f"time,{column}\n0,1\n1,2\n2,3\n")
+    with pytest.raises(InputError, match=f"^columns: {column} is the force {said}"):
+        Traces.from_csv(path, [4], field=field, columns=["time", column])
+    path.write_text(f"time,change_{field}_4\n0,1\n1,2\n2,3\n")
+    assert Traces.from_csv(path, [4], field=field).values.ravel().tolist() == [1, 2, 3]
+
+
+def test_rows_of_a_profile_are_counted(tmp_path: Path):
+    path = tmp_path / "state.csv"
+
+    def written(numbers: str) -> Path:
+        rows = "".join(f"{n};{v}\n" for n, v in zip(numbers, "567", strict=True))
+        path.write_text(f"Grain;velocity [mm/s]\n{rows}")
+        return path
+
+    assert Profile(file=written("123")).velocity == pytest.approx([5e-3, 6e-3, 7e-3])
+    for numbers in ("124", "012", "132"):
+        with pytest.raises(InputError, match=r"^file: .*: the column grain must count 1, 2, 3"):
+            Profile(file=written(numbers))
+    path.write_text("A,B\n1,2\n3,4\n")
+    with pytest.raises(InputError, match=r"^columns: .* is ambiguous: it has column 1 \(A\), col"):
+        Profile(file=path)
+    with pytest.raises(InputError, match=r"^file: must be the name of a CSV file"):
+        Profile(file=3)
 
 
 def test_channels_with_separate_times_are_not_mixed(tmp_path: Path):
