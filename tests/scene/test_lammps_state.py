@@ -14,6 +14,7 @@ from lmpchain.scene.lammps_column import RunOptions, Understood, infer_scene
 from lmpchain.scene.lammps_input import LammpsInput
 from lmpchain.scene.lammps_state import (
     Line,
+    RunGrains,
     fit_line,
     gravity_of,
     load_between,
@@ -100,6 +101,29 @@ def test_data_files_are_read_as_in_lammps(style: str, text: str, tmp_path: Path)
         assert np.isnan(grains.diameters).all()
     bonds = [(bond.first, bond.second) for bond in source.state.bonds]
     assert bonds == ([(7, 3), (3, 2)] if "Bonds" in text else [])
+
+
+def test_a_dump_places_the_grains_of_a_data_file(tmp_path: Path) -> None:
+    """Masses are those of the file; positions are twice those, with one grain less."""
+    (tmp_path / "a.data").write_text(DATA["bond"][1].replace(BONDS, ""), encoding="utf-8")
+    path = tmp_path / "in.own"
+    text = "units si\natom_style bond\nboundary f f f\nread_data a.data\n"
+    path.write_text(text, encoding="utf-8")
+    placed = LammpsInput(path).grains()
+    few = slice(1, 3)
+    unknown = np.full(2, math.nan)
+    dumped = RunGrains(
+        "own.lammpstrj", placed.numbers[few], np.zeros(2, dtype=int), 2 * placed.positions[few],
+        7 * placed.velocities[few], unknown, unknown, 0.0,
+    )  # fmt: skip
+    path.write_text(f"{text}create_bonds many all all 1 0.03 0.05\n", encoding="utf-8")
+    source = LammpsInput(path, dumped)
+    grains = source.grains()
+    assert grains.masses.tolist() == [4e-3, 2e-3]
+    assert grains.types.tolist() == [2, 1]
+    assert grains.positions.tolist() == dumped.positions.tolist()
+    assert grains.velocities.tolist() == dumped.velocities.tolist()
+    assert [(bond.first, bond.second) for bond in source.state.bonds] == [(7, 3)]
 
 
 def understood(path: Path, options: RunOptions) -> Understood:
