@@ -182,22 +182,26 @@ def test_a_vibrometer_trace_drives_a_chain():
     assert "decimal commas" in drive.source
 
 
-@pytest.mark.parametrize("between", [0.3, 0.5])
+@pytest.mark.parametrize("between", [0.3, 1.5])
 def test_a_trigger_between_two_samples_is_interpolated(between: float, tmp_path: Path):
     path = tmp_path / "scope.csv"
-    path.write_text("t,F\n-1,0\n0,1\n1,3\n2,4\n")
+    path.write_text("t,F\n-1,0\n0,1\n1,3\n2,4\n3,8\n")
+    time, values = np.arange(-1.0, 4.0), np.array([0.0, 1.0, 3.0, 4.0, 8.0])
+    later = time > between
     force = Force(grain=1, file=path, trigger=between)
-    np.testing.assert_allclose(force.times, [0, 1 - between, 2 - between])
-    np.testing.assert_allclose(force.force, [1 + 2 * between, 3, 4])
+    np.testing.assert_allclose(force.times, [0, *(time[later] - between)])
+    begin = np.interp(between, time, values)
+    np.testing.assert_allclose(force.force, [begin, *values[later]])
+    assert f"{int(between) + 2} rows before it dropped" in force.source
     # A sample within rounding errors of the trigger is at t = 0.
     for first in (-1.0, -1.0 - 1e-9, -1.0 + 1e-9):
         force = Force(grain=1, file=path, trigger=first)
-        np.testing.assert_allclose(force.times, [0, 1, 2, 3], rtol=0, atol=2e-9)
-        assert (force.times[0], force.force.tolist()) == (0.0, [0.0, 1.0, 3.0, 4.0])
+        np.testing.assert_allclose(force.times, time + 1, rtol=0, atol=2e-9)
+        assert (force.times[0], force.force.tolist()) == (0.0, values.tolist())
         assert "0 rows before it dropped" in force.source
     # Measured values of a fit are only those of the file.
     traces = Traces.from_csv(path, [3], trigger=between)
-    np.testing.assert_allclose(traces.time, [1 - between, 2 - between])
+    np.testing.assert_allclose(traces.time, time[later] - between)
 
 
 def test_profiles_are_read_from_columns(tmp_path: Path):
