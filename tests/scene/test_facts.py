@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import lmpchain
-from lmpchain import Chain, Damping, Drive, Force, Impulse, Scene
+from lmpchain import Chain, Damping, Displacement, Drive, Force, Impulse, Law, Scene
+from lmpchain.scene.base import Excitation
 from lmpchain.scene.facts import SceneFacts
 from lmpchain.util.lazy import cached_property
 
@@ -81,6 +82,35 @@ def test_the_linear_strain_of_a_driven_chain_grows_with_its_viscosity() -> None:
     viscous = plain.replace(chain=COLUMN.replace(damping=Damping(viscoelastic=2e-6)))
     turn = 2e-6 * max(COLUMN.band_edge, 2 * np.pi * 2e4)
     assert viscous.linear_strain == pytest.approx(plain.linear_strain * (1 + turn), rel=1e-12)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+@pytest.mark.parametrize("strike", [Impulse(velocity=-1e-4), Displacement(displacement=-2e-9)])
+def test_a_ground_adds_its_largest_frequency(gravity: float, strike: Excitation) -> None:
+    """A grain on the ground c u^3 has the stiffness 3 c u^2, and flies on until it turns."""
+    chain = COLUMN.replace(gravity=gravity)
+    plain = Scene(chain=chain, excitation=strike, duration=5e-5)
+    for law, power in ((Law("c*u", c=1e6), 1), (Law("c*u**3", c=1e22), 3)):
+        scene = plain.replace(chain=chain.replace(ground=law))
+        turns = max(scene.chain.band_edge, 1 / 5e-5)
+        reach = 2e-9 if strike.kind == "displacement" else 1e-4 / turns
+        stiffness = 1e6 if power == 1 else 3e22 * reach**2
+        edges = max(plain.fastest_motion, scene.chain.band_edge)
+        expected = np.hypot(edges, np.sqrt(stiffness / chain.masses[0]))
+        assert scene.fastest_motion == pytest.approx(expected, rel=1e-12)
+        assert scene.light_cone is None
+        u = strike.initial(chain)[0]
+        spring = plain.energy + 1e6 * (u**2).sum() / 2
+        assert scene.energy == (pytest.approx(spring, rel=1e-9) if power == 1 else np.inf)
+        if power == 3 or not gravity:
+            assert scene.linear_strain == np.inf
+            continue
+        # The last grain is held, and the top is free, so that each spring may stretch alone.
+        contacts = chain.contacts
+        k, rest = contacts.stiffness[1:-1], contacts.overlap[1:-1]
+        elastic = (k * np.diff(u) ** 2).sum() + 1e6 * (u**2).sum()
+        size = elastic + (chain.masses * strike.initial(chain)[1] ** 2).sum()
+        assert scene.linear_strain == pytest.approx((np.sqrt(size / k) / rest).max(), rel=1e-12)
 
 
 @pytest.mark.parametrize("name", SCENES)

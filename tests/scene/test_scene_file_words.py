@@ -121,6 +121,35 @@ def test_tables_fill_the_fields_of_their_columns(tmp_path: Path) -> None:
     assert named.excitation == driven.excitation
 
 
+def test_the_start_of_a_forcing_is_a_profile(tmp_path: Path) -> None:
+    (tmp_path / "start.csv").write_text("grain,velocity\n1,0\n2,1e-6\n3,0\n")
+    drive = {"kind": "drive", "amplitude": 1e-12, "frequency": 1e5}
+    for start in ({"file": "start.csv"}, {"velocity": [0.0, 1e-6, 0.0]}):
+        tables = GOOD | {"excitation": drive | {"start": start}}
+        scene = Scene.from_dict(tables, tmp_path)
+        assert scene.excitation.start == Profile(velocity=[0, 1e-6, 0])
+        # The tables of the caller are not changed.
+        assert tables["excitation"]["start"] is start
+    for wrong, key, said in (
+        ({"velocity": [1e-6, 0, 0]}, "velocity", "must be 0 for grain 1, because it is driven"),
+        ({"velocity": [0, 0, 1e-6]}, "velocity", "must be 0 for grain 3, which is held"),
+        ({"velocity": [0, 0]}, "velocity", "must have one entry a grain, 3 in all, not 2"),
+        ({"velocty": [0, 0, 0]}, "velocty", "unknown key (did you mean 'velocity'?)"),
+        ({}, "displacement", "give displacement or velocity of every grain, or a file with both"),
+        ({"file": 3}, "file", "must be the name of a CSV file"),
+    ):
+        found = faults(Scene.from_dict, GOOD | {"excitation": drive | {"start": wrong}}, tmp_path)
+        assert [(key, text[: len(said)]) for key, text in found][:1] == [
+            (f"excitation.start.{key}", said)
+        ]
+    grains = {"file": "start.csv", "taper": 0.1}
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"chain": grains}, tmp_path)
+    assert (key, text.partition(";")[0]) == (
+        "chain.taper",
+        "the file describes every grain already",
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
