@@ -92,11 +92,15 @@ class LammpsInput:
         self.box: list[float] = []
         self.running: InputLine | None = None
         self.changed: InputLine | None = None
+        # A copy of the state at a run, and whether a later command has changed the state.
         self.run_state: RunState | None = None
+        self.outdated = True
         self.steps = 0
         self.total = 0
         self.every = 0
         self.changes: list[tuple[int, InputLine]] = []
+        # Last step, forces and changes of the runs before every command reset_timestep.
+        self.counted: list[tuple[int, RunState | None, list[tuple[int, InputLine]]]] = []
         self.ignored: dict[str, None] = {}
         self.data_only = False
         text = read_text(path)
@@ -108,8 +112,7 @@ class LammpsInput:
                 self._read(line)
         if self.dumped is None and not self.state.atoms:
             raise InputError.at(str(path), f"places no grains that can be read: {DUMP_CURE}")
-        # Commands after the last run have no effect.
-        self.state = self.run_state or self.state
+        self._choose_state()
         self._check_units()
         self._check_changes()
 
@@ -224,9 +227,11 @@ class LammpsInput:
         self.every = int(every) if every.isdigit() and len(every) <= MOST_DIGITS else 0
 
     def _do_reset_timestep(self, line: InputLine, words: list[str]) -> None:
-        self.steps = self.text.whole(self.text.word(line, words, 0), line)
+        first = self.text.whole(self.text.word(line, words, 0), line)
         # Earlier changes have a different step count.
-        self.changes.clear()
+        self.counted.append((self.steps, self.run_state, self.changes))
+        self.steps = first
+        self.changes = []
 
     def _do_run(self, line: InputLine, words: list[str]) -> None:
         count = self.text.whole(self.text.word(line, words, 0), line)
@@ -238,6 +243,7 @@ class LammpsInput:
             raise line.refuse("has options that are not understood: write `run` with a number")
         if not count:
             return
+        begin = self.steps
         self.steps += count
         self.total += count
         if self.changed is not None and self.running is not None and self.dumped is None:
@@ -245,21 +251,38 @@ class LammpsInput:
                 f"is between the runs of lines {self.running.number} and {line.number}, where the "
                 f"state of the grains is not known: {DUMP_CURE}"
             )
-        if self.changed is not None or self.running is None:
+        # A run that begins after the dump may have other forces than the dump.
+        if self.outdated and (self.run_state is None or begin < self._dump_steps()[1]):
             self.run_state = copy.deepcopy(self.state)
+            self.outdated = False
         self.running = line
         self.changed = None
 
     def _note_change(self, line: InputLine) -> None:
         """Note a command that changes grains or forces."""
         self.changed = line
+        self.outdated = True
         self.changes.append((self.steps, line))
+
+    def _dump_steps(self) -> tuple[float, float]:
+        """Return the steps of the first and the last frame of the dump; infinite without one."""
+        steps = None if self.dumped is None else self.dumped.steps
+        return steps or (math.inf, math.inf)
+
+    def _choose_state(self) -> None:
+        """Choose the forces of the runs that wrote the dump, or of the last run."""
+        _, last = self._dump_steps()
+        counted = [(self.steps, self.run_state, self.changes), *reversed(self.counted)]
+        for steps, state, changes in counted:
+            if state is not None and steps >= last:
+                self.state, self.changes = state, changes
+                return
+        # Commands after the last run have no effect.
+        self.state = self.run_state or self.state
 
     def _check_changes(self) -> None:
         """Raise `InputError` if forces change while the dump is written."""
-        if self.dumped is None or self.dumped.steps is None:
-            return
-        first, last = self.dumped.steps
+        first, last = self._dump_steps()
         for step, line in self.changes:
             if first < step < last:
                 raise line.refuse(
@@ -372,6 +395,7 @@ class LammpsInput:
     def _do_mass(self, line: InputLine, words: list[str]) -> None:
         kinds = self._range(self.text.word(line, words, 0), line)
         mass = self.text.number(self.text.word(line, words, 1), line)
+        self._note_change(line)
         self.state.type_masses |= dict.fromkeys(kinds[:MOST_TYPES], mass)
 
     def pair_lines(self, first: int, second: int) -> tuple[InputLine, list[str]] | None:

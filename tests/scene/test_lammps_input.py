@@ -672,6 +672,7 @@ WITH_DUMP: dict[str, tuple[str, tuple[int, int], str]] = {
     "a change behind": ("run 50\nvelocity all set 0 0 0\nrun 50", (0, 50), ""),
     "a velocity within": ("run 9\nvelocity all set 0 0 0\nrun 9", (0, 18), "at step 9, within"),
     "no fix to remove": ("run 50\nunfix 7\nrun 50", (0, 100), ""),
+    "a mass within": ("run 50\nmass 1 2.0\nrun 50", (0, 100), "at step 50, within"),
     "a fix that ends": ("run 50\nunfix 1\nrun 50", (0, 100), "at step 50, within"),
     "an observer": ("run 50\nfix 7 all ave/time 1 1 1 v_a\nrun 50", (0, 100), ""),
     "counted anew": ("run 50\ntimestep 2e-7\nreset_timestep 0\nrun 100", (0, 100), ""),
@@ -707,6 +708,35 @@ def test_a_dump_replaces_the_grains_of_its_input(
     grains = LammpsInput(path, bare).grains()
     assert grains.diameters.tolist() == [0.01] * 3
     assert grains.masses == pytest.approx(MASS * 7000 / 7800, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "steps", "factor"),
+    [
+        ("run 50\n{change}\nrun 50", (0, 50), 1),
+        ("run 50\n{change}\nrun 50", (50, 100), 2),
+        ("run 50\n{change}\nreset_timestep 0\nrun 30", (0, 50), 1),
+        ("run 50\n{change}\nreset_timestep 0\nrun 30", (0, 30), 2),
+        ("run 50\n{change}\nrun 50\nreset_timestep 0\nrun 60", (0, 50), 2),
+        ("run 50\nreset_timestep 0\n{change}\nrun 30\nrun 30", (30, 60), 2),
+        ("run 50\nreset_timestep 0\nrun 50\n{change}\nrun 50\nreset_timestep 9", (0, 50), 1),
+        ("run 50\nrun 50\n{change}", (0, 100), 1),
+    ],
+)
+def test_forces_are_those_of_the_run_that_wrote_the_dump(
+    text: str, steps: tuple[int, int], factor: int, tmp_path: Path
+) -> None:
+    """The change doubles the stiffness and the time step."""
+    path = tmp_path / "in.own"
+    path.write_text(START, encoding="utf-8")
+    dumped = replace(LammpsInput(path).grains(), steps=steps, duration=math.nan)
+    change = "timestep 2e-7\npair_coeff * * hertz 2e10 0"
+    lines = START.replace("run 100", text.format(change=change))
+    path.write_text(lines, encoding="utf-8")
+    source = LammpsInput(path, dumped)
+    fields = infer_scene(source.grains(), source).fields
+    assert fields["chain"].contact_constants == pytest.approx(factor * STIFF, rel=1e-14)
+    assert fields["duration"] == pytest.approx(factor * 1e-7 * (steps[1] - steps[0]), rel=1e-14)
 
 
 def test_default_time_steps_are_those_of_lammps(tmp_path: Path):
