@@ -161,6 +161,9 @@ def test_short_chains_and_wide_cones_are_not_cut():
     for grains, cut in ((127, False), (128, True)):
         scene = scene_of(column(grains), Impulse(velocity=1e-6), 1e-6)
         assert (scene.light_cone is not None) is cut
+    # Ten grains beside the struck one are the smallest cone, even if nothing moves.
+    still = scene_of(column(200, gravity=0.0), Impulse(velocity=0.0, grain=50), 1e-5)
+    assert find_reached(still) == (40, 60)
     springs = column(600, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall")
     edge = 2 * np.sqrt(springs.contact_constants[0] / springs.masses[0])
     for away, cut in ((205, True), (212, False)):
