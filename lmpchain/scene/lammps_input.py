@@ -270,7 +270,10 @@ class LammpsInput:
         return steps or (math.inf, math.inf)
 
     def _choose_state(self) -> None:
-        """Choose the forces of the runs that wrote the dump, or of the last run."""
+        """Choose the forces of the instance, of the run that wrote the dump, or of the last run."""
+        if self.dumped is not None and self.dumped.acting is not None and not self.data_only:
+            self.state = self._state_with(self.dumped.acting)
+            return
         _, last = self._dump_steps()
         counted = [(self.steps, self.run_state, self.changes), *reversed(self.counted)]
         for steps, state, changes in counted:
@@ -279,6 +282,19 @@ class LammpsInput:
                 return
         # Commands after the last run have no effect.
         self.state = self.run_state or self.state
+
+    def _state_with(self, acting: frozenset[str]) -> RunState:
+        """Return the state with the fixes of an instance: at the end of the file or at its run."""
+        # Styles in capitals are those that LAMMPS creates for itself.
+        found = {style for style in acting if not style.isupper()} - {*OBSERVERS}
+        for state in (self.state, self.run_state):
+            if state is not None and {fix.style for fix in state.fixes.values()} == found:
+                return state
+        raise InputError.at(
+            str(self.path),
+            f"does not end with the fixes of the instance, {', '.join(sorted(found)) or 'none'}: "
+            "name the input that was executed",
+        )
 
     def _check_changes(self) -> None:
         """Raise `InputError` if forces change while the dump is written."""

@@ -18,6 +18,7 @@ from .lammps_state import RunGrains
 
 ARGUMENT = "lmp"
 FIX = re.compile(r"Fix\[.*?\]:\s*(\S+),\s*style = (\S+),\s*group = (\S+)")
+SUFFIX = re.compile(r"/(omp|kk|opt|gpu|intel)$")  # Accelerated variants of a style.
 MOVING = ("nve", "nve/sphere")
 # Pair styles of Hertz's law; granular may have another law, which only an input shows.
 HERTZIAN = ("granular", "gran/hertz/history")
@@ -68,7 +69,7 @@ def grains_of(
         values = lmp.numpy.extract_atom(name)
         return None if values is None else np.array(values[:count], dtype=float)
 
-    fixes = [] if read else list(_fixes(lmp))
+    fixes = list(_fixes(lmp))
     if not read:
         _check_forces(lmp, fixes)
     numbers = column("id")
@@ -88,7 +89,7 @@ def grains_of(
         masses=unknown if masses is None else scale.mass * masses[order],
         slack=4 * float(np.spacing(np.abs(positions).max())),
         held=None if read else _held(lmp, fixes, column("mask")[order].astype(int)),
-        acting=None if read else frozenset(fix.style for fix in fixes),
+        acting=frozenset(fix.style for fix in fixes),
         period=np.where(np.array(periodic, dtype=bool), sides, math.inf),
     )
 
@@ -129,4 +130,4 @@ def _fixes(lmp: Any) -> Iterator[_NamedFix]:
         path = Path(folder) / "fixes"
         lmp.command(f"info fixes out overwrite {path}")
         for _, style, group in FIX.findall(path.read_text(encoding="utf-8")):
-            yield _NamedFix(style, group)
+            yield _NamedFix(SUFFIX.sub("", style), group)

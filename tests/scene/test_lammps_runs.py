@@ -294,6 +294,24 @@ def test_an_instance_without_a_load_fix_has_no_load():
             Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
 
 
+def test_an_instance_has_the_forces_at_the_end_of_its_input(tmp_path: Path):
+    """A drag that settles the grains is removed after the run of the input."""
+    settled = before_the_run(LEVEL) + "fix 9 beads viscous 1.0\nrun 0\n"
+    path = tmp_path / "in.own"
+    path.write_text(f"{settled}run 10\nunfix 9\nvelocity hit set 0.1 0 0\n", encoding="utf-8")
+    with silent_lammps() as lmp:
+        lmp.file(str(path))
+        scene = Scene.from_lammps(lmp, input=path, duration=1e-4)
+        assert not scene.chain.damped
+        path.write_text(f"{settled}run 10\n", encoding="utf-8")
+        with pytest.raises(
+            InputError, match=r"fixes of the instance, freeze, nve/sphere: name the"
+        ):
+            Scene.from_lammps(lmp, input=path, duration=1e-4)
+        lmp.command("fix 9 beads viscous 0.5")
+        assert Scene.from_lammps(lmp, input=path, duration=1e-4).chain.damped
+
+
 def test_an_instance_without_grains_or_motion_is_refused():
     with pytest.raises(InputError, match=r"lmp: must be a lammps\.lammps object \(got 3\)"):
         Scene.from_lammps(3, duration=1e-4)
