@@ -9,7 +9,7 @@ import pytest
 from helpers.own_inputs import silent_lammps, tapered_data
 from scipy.optimize import brentq
 
-from lmpchain import InputError, Scene
+from lmpchain import Impulse, InputError, Scene
 from lmpchain.scene.lammps_column import RunOptions, Understood, infer_scene
 from lmpchain.scene.lammps_input import LammpsInput
 from lmpchain.scene.lammps_state import (
@@ -180,6 +180,33 @@ def test_a_data_file_alone_is_a_scene_of_a_material(tmp_path: Path) -> None:
     assert dict(found.facts)["contacts"] == "Hertz, of E = 1e+09 Pa (given)"
     with pytest.raises(InputError, match="duration: is not in the run: give --duration"):
         understood(path, options._replace(duration=None))
+
+
+@pytest.mark.parametrize("up", [False, True])
+@pytest.mark.parametrize(("gravity", "load"), [(0.5, 0.0), (9.81, 0.3), (3.7, 2e-4), (0.0, 0.3)])
+def test_positions_at_rest_give_gravity_load_and_direction(
+    gravity: float, load: float, up: bool, tmp_path: Path
+) -> None:
+    """The force below grain n is the load and the weight of n grains; atom 1 is struck."""
+    mass = 2500 * math.pi / 6 * 1e-6
+    stiffness = 4 / 3 * 1e9 / (2 * (1 - 0.09)) * math.sqrt(0.0025)
+    forces = load + gravity * mass * np.arange(1, 8)
+    depth = np.concatenate([[0.0], np.cumsum(0.01 - (forces / stiffness) ** (2 / 3))])
+    sign = -1.0 if up else 1.0
+    rows = [f"{n} 1 0.01 2500 0 0 {sign * z!r}" for n, z in enumerate(depth.tolist(), 1)]
+    path = tmp_path / "a.data"
+    speed = f"Velocities\n\n1 0 0 {sign * 0.01!r} 0 0 0\n"
+    path.write_text(PLAIN + atoms(rows) + speed, encoding="utf-8")
+    found = understood(path, RunOptions(young=1e9, poisson=0.3, duration=1e-4))
+    points = "up" if up else "down"
+    facts = dict(found.facts)
+    assert facts["column"].startswith(f"8 grains along z, which points {points}: grain 1 is atom 1")
+    scene = Scene(**found.fields)
+    assert scene.chain.gravity == pytest.approx(gravity, rel=1e-7, abs=0)
+    assert scene.chain.top_load == pytest.approx(load, rel=1e-5, abs=0)
+    # The last grain is not known to be held, so that a wall must carry it.
+    assert scene.chain.bottom == "wall"
+    assert scene.excitation == Impulse(velocity=0.01)
 
 
 @pytest.mark.parametrize("seed", range(3))
