@@ -61,7 +61,7 @@ def own_solution(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 @cache
 def solved(bottom: str, top: str, drive: Drive) -> tuple[Scene, Reference]:
     """Return a scene for all methods, and its reference."""
-    scene = scene_of(steel_column(grains=5, bottom=bottom, top=top), drive, 5e-4, 51)
+    scene = scene_of(steel_column(grains=5, bottom=bottom, top=top), drive, 4e-4, 41)
     return scene, reference(scene)
 
 

@@ -629,6 +629,29 @@ CONTINUED = {
     "sums": "velocity all set 0.1 0 0\nvelocity all set 0.2 NULL 0 sum yes\nset atom 3 vx 0",
     "two keywords": "set type 1 vx 0.7 vy 0\nset atom 2*3 vx 0",
     "a group by comparison": "group g id <> 1 2\nvelocity g set 0.8 0 0",
+    "two indices": "variable v index 0.3 0.5\nvariable v index 0.4\nset atom 1 vx $v",
+    "a new formula": 'variable v equal 0.3\nvariable v equal "1 + 2*(3 - 1)"\nset atom 1 vx $v',
+    "a string": "variable v string 0.2\nset atom 1 vx ${v}",
+    "a deleted index": (
+        "variable v index 1\nvariable v delete\nvariable v index 9\nset atom 1 vx $v"
+    ),
+    "digits": "variable v equal 1/3\nset atom 1 vx ${v}\nset atom 2 vx $(v_v:%.3f)",
+    "a name": "variable g string beads\nvelocity ${g} set 0.7 0 0",
+    "a stride": "group g id 1:3:2\nvelocity g set 0.4 NULL NULL units box",
+    "groups together": (
+        "group a id < 2\ngroup b id >= 3\ngroup g union a b\ngroup h intersect g b\n"
+        "velocity g set 0.1 0 0\nvelocity h set 0.2 NULL 0\nvelocity all zero angular"
+    ),
+    "groups that grow and shrink": (
+        "group g id == 1\ngroup g id > 2\nvelocity g set 0.3 0 0\ngroup g clear\n"
+        "group g id != 2\ngroup g id <= 1\nvelocity g set 0 0.4 0 sum yes\ngroup g delete"
+    ),
+    "stars": "set atom *1 vx 0.2\nset atom 2* vy 0.3\nset type * vz 0.1\nset group beads vz 0",
+    "sizes": (
+        "set atom 1 density 5000 diameter 0.02\nset atom 2 diameter 0.03 density 4000\n"
+        "set atom 3 mass 0.1 x 0.02 y 0.001 z 0.002"
+    ),
+    "a default grain": "create_atoms 1 single 0.03 0 0.005 units box",
     "a difference of groups": "group g id 2 3\ngroup h subtract all g\nvelocity h set 0.9 0 0",
 }
 
@@ -990,7 +1013,7 @@ def mutated(random_: random.Random, text: str) -> str:
 
 
 def test_damaged_inputs_are_scenes_or_faults_of_one_line(tmp_path: Path):
-    """300 inputs and data files with damaged lines cause neither a traceback nor a hang."""
+    """200 inputs and data files with damaged lines cause neither a traceback nor a hang."""
     random_ = random.Random(61)
     texts = [text for name, text in INPUTS.items() if name != "column"] + [START, tapered_data()]
     (tmp_path / "tapered.data").write_text(tapered_data(), encoding="utf-8")
@@ -1002,7 +1025,7 @@ def test_damaged_inputs_are_scenes_or_faults_of_one_line(tmp_path: Path):
 
     before = signal.signal(signal.SIGALRM, stop)
     try:
-        for _ in range(300):
+        for _ in range(200):
             path.write_text(mutated(random_, random_.choice(texts)), encoding="utf-8")
             signal.alarm(10)
             try:
@@ -1018,7 +1041,7 @@ def test_damaged_inputs_are_scenes_or_faults_of_one_line(tmp_path: Path):
     finally:
         signal.signal(signal.SIGALRM, before)
     # Damage to comments and output leaves a valid scene.
-    assert min(made, refused) > 15
+    assert min(made, refused) > 10
 
 
 def test_damaged_dumps_are_scenes_or_faults_of_one_line(tmp_path: Path):

@@ -75,7 +75,8 @@ def test_data_files_are_read_as_in_lammps(style: str, text: str, tmp_path: Path)
     (tmp_path / "a.data").write_text(text, encoding="utf-8")
     path = tmp_path / "in.own"
     lines = f"units si\natom_style {style}\natom_modify map array\nboundary f f f\n"
-    lines += f"read_data {tmp_path / 'a.data'}\n"
+    more = " extra/bond/per/atom 2 extra/special/per/atom 3" if "bond" in style else ""
+    lines += f"read_data {tmp_path / 'a.data'}{more}\n"
     path.write_text(lines, encoding="utf-8")
     with silent_lammps(lines) as lmp:
         number = lmp.numpy.extract_atom("id")[:3]

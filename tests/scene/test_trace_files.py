@@ -345,6 +345,9 @@ def test_equal_forces_may_come_from_different_files(tmp_path: Path):
     assert forces[0] == forces[1] == points
     assert len({*forces, points}) == 1
     assert forces[0].source != forces[1].source
+    assert "time: column 1 (t) in s; " in forces[0].source
+    scaled = Force(grain=1, file=tmp_path / "a.csv", time_scale=1e-6)
+    assert "time: column 1 (t), times 1e-06 s; " in scaled.source
     assert forces[0].replace(grain=2).source == forces[0].source
     # A changed force no longer names its file.
     assert forces[0].scaled(2.0).source is None
