@@ -266,7 +266,8 @@ class Scene(SceneFacts):
         samples : int
             Number of recorded times, including t = 0 and t = duration.
         input : path, optional
-            The input file; it is read for contacts, walls, gravity and loads, and not executed.
+            The input file; it is read for contacts, walls, gravity and loads, and not executed. Its
+            fixes, at the end of the file or at its last run, must be those of the instance.
         units : str or (length, time, mass), optional
             Unit style of LAMMPS, or its units in m, s and kg. Units are required if the instance
             has units lj.
