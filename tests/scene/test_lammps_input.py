@@ -736,6 +736,25 @@ def test_a_dump_replaces_the_grains_of_its_input(
 
 
 @pytest.mark.parametrize(
+    "command",
+    [
+        *("pair_style granular", "pair_coeff 1 1 hertz 1e9 0", "bond_style zero"),
+        *("bond_coeff 1 1.0 0.01", "set atom 1 vx 0", "fix 7 all viscous 1"),
+        *("create_bonds single/bond 1 1 2", "displace_atoms all move 0 0 0"),
+    ],
+)
+def test_commands_that_change_the_motion_within_a_dump_are_rejected(
+    command: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "in.own"
+    path.write_text(START, encoding="utf-8")
+    dumped = replace(LammpsInput(path).grains(), steps=(0, 100))
+    path.write_text(START.replace("run 100", f"run 50\n{command}\nrun 50"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"changes the run at step 50, within the dump"):
+        LammpsInput(path, dumped)
+
+
+@pytest.mark.parametrize(
     ("text", "steps", "factor"),
     [
         ("run 50\n{change}\nrun 50", (0, 50), 1),
