@@ -94,6 +94,12 @@ def case(name: str) -> tuple[Scene, float]:
     return scene, duration / 250
 
 
+def short_case(name: str) -> tuple[Scene, float]:
+    """Return the first part of a scene, and a step, s."""
+    scene, step = case(name)
+    return scene.replace(duration=0.4 * scene.duration, samples=5), step
+
+
 def some(names: tuple[str, ...], among: list[str] = NAMES) -> list[Any]:
     """Return cases: these by default, an eighth of the others as slow, the rest as soak tests."""
     others = [pytest.mark.soak if n % 8 else pytest.mark.slow for n in range(len(among))]
@@ -124,7 +130,7 @@ def test_lammps_and_native_differ_by_less_than_1e_10_at_the_same_steps(name: str
     "name", some(("toda + moving wall",), [name for name in MOVED if "drag" not in name])
 )
 def test_drifts_of_a_splitting_end_at_the_wall(name: str):
-    scene, step = case(name)
+    scene, step = short_case(name)
     check_agreement(scene, "rkn6", 2 * step)
 
 
@@ -170,7 +176,7 @@ def test_the_estimate_covers_the_error_against_scipy(name: str):
 
 @pytest.mark.parametrize("name", some(("toda under gravity", BOTH)))
 def test_a_deck_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
-    scene, step = case(name)
+    scene, step = short_case(name)
     write_deck(scene, tmp_path / "deck", step=step)
     lmp(tmp_path / "deck", "-screen", "none")
     engine = Lammps("verlet", step=step, diameter="physical", keep=tmp_path / "library")

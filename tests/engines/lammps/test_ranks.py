@@ -104,12 +104,6 @@ def test_two_ranks_give_the_bits_of_one_and_report_errors():
     until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in ranks.pids))
 
 
-def test_ranks_end_with_their_connection():
-    ranks = SubprocessRanks(2, "none")
-    ranks.close()
-    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in ranks.pids))
-
-
 def test_a_launcher_that_fails_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     fake = tmp_path / "mpiexec"
     fake.write_text("#!/bin/sh\necho no such host >&2\nexit 3\n")
