@@ -82,7 +82,7 @@ def test_the_order_of_velocity_verlet(engine, name, act, order):
     assert slope == pytest.approx(order, abs=0.05)
 
 
-@pytest.mark.parametrize(("name", "act"), thinned(product(CHAINS, ACTS), 2))
+@pytest.mark.parametrize(("name", "act"), thinned(product(CHAINS, ACTS), 4))
 def test_the_error_is_estimated(name, act):
     scene = scene_of(CHAINS[name].replace(top="free", top_load=1.0), ACTS[act], 3e-5, 7)
     t = simulate(scene, engine="lammps", tolerance=1e-3)

@@ -102,7 +102,7 @@ def agree(folder: Path) -> None:
         assert np.abs(dumped[:, : expected.shape[1]] - expected).max() <= close
 
 
-@pytest.mark.parametrize(("name", "pattern", "text"), thinned(EDITS, 6))
+@pytest.mark.parametrize(("name", "pattern", "text"), thinned(EDITS, 9))
 def test_lammps_runs_an_edited_deck_as_it_is_read(
     name: str, pattern: str, text: str, tmp_path: Path
 ):

@@ -158,7 +158,7 @@ def test_a_resumed_run_gives_the_same_bits(
     name: str, acting: str, integrator: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     scene, step = scene_on(GROUNDS[name], acting)
-    engine = Lammps(integrator, step=step, diameter="gauge")
+    engine = Lammps(integrator, step=2 * step, diameter="gauge")
     whole = simulate(scene, engine)
     answer = stop_three_times(scene, engine, tmp_path / "run", monkeypatch)
     assert np.array_equal(answer.displacement[:], whole.displacement)

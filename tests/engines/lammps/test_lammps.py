@@ -370,6 +370,12 @@ def test_grains_lost_during_reading_are_detected(monkeypatch):
         stepper(small())
 
 
+def test_grains_that_an_include_deletes_are_missed():
+    include = "group last id 24 25\ndelete_atoms group last\n"
+    with pytest.raises(RunFailed, match="LAMMPS has lost grains: 23 of 25 are left"):
+        simulate(small(), Lammps("verlet", step=1e-7, include=include))
+
+
 @pytest.mark.parametrize("kind", [TimeoutError, RuntimeError, Exception])
 def test_a_deadline_of_the_user_ends_a_run(kind, monkeypatch):
     """An error in a signal handler does not count as a LAMMPS failure: steps are not shortened."""

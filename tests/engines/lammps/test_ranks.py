@@ -20,6 +20,7 @@ from lmpchain import (
     Chain,
     Drive,
     EngineUnavailable,
+    Force,
     Impulse,
     InputError,
     RunFailed,
@@ -33,7 +34,7 @@ from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.stepper import LammpsStepper
 from lmpchain.engines.lammps.subprocess_ranks import Communicator, SubprocessRanks
-from lmpchain.integrators.methods import VERLET
+from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.integrators.steps import Steps
 from lmpchain.util import mpi
 
@@ -69,20 +70,24 @@ def same(one: Trajectory, other: Trajectory) -> bool:
     )
 
 
-def motion(communicator: Communicator) -> list[np.ndarray]:
+ACTING = Drive(amplitude=1e-7, frequency=2e4), Force(amplitude=1.0, frequency=2e4, grain=25)
+
+
+def motion(communicator: Communicator, excitation: Drive | Force) -> list[np.ndarray]:
     """Return the samples and the last state of a short run on these ranks."""
-    excitation = Drive(amplitude=1e-7, frequency=2e4)
-    made = LammpsColumn(scene_of(LOADED, excitation, 1e-6, 3), 0.0)
-    stepper = LammpsStepper(made, VERLET, Steps(5, 1, 1e-7), {}, communicator)
+    made = LammpsColumn(scene_of(LOADED.replace(bottom="fixed"), excitation, 4e-7, 3), 0.0)
+    stepper = LammpsStepper(made, SPLITTINGS["rkn6"], Steps(2, 1, 1e-7), {}, communicator)
     u, v = np.zeros((2, 1, 3, 30))
-    assert stepper.fill(u, v, 0, 2, 100) == 10
+    assert stepper.fill(u, v, 0, 2, 100) == 4
     assert stepper.ranks == communicator.ranks
-    return [u, v, *stepper.state().values()]
+    state = stepper.state()
+    communicator.ask("commands", "clear")
+    return [u, v, *state.values()]
 
 
 def test_two_ranks_give_the_bits_of_one_and_report_errors():
     alone = communicators.Serial("none")
-    expected = motion(alone)
+    expected = [motion(alone, excitation) for excitation in ACTING]
     alone.close()
     ranks = SubprocessRanks(2, "none")
     try:
@@ -91,9 +96,10 @@ def test_two_ranks_give_the_bits_of_one_and_report_errors():
         with pytest.raises(EngineUnavailable, match="no PIZZA package"):
             ranks.ask("require", ("PIZZA",))
         assert ranks.ask("commands", "units si") == [None, None]
-        for one, other in zip(motion(ranks), expected, strict=True):
-            assert np.array_equal(one, other)
-        assert np.abs(expected[1]).max() > 0
+        for excitation, fields in zip(ACTING, expected, strict=True):
+            assert np.abs(fields[1]).max() > 0
+            for one, other in zip(motion(ranks, excitation), fields, strict=True):
+                assert np.array_equal(one, other)
         assert len(set(ranks.pids)) == 2
         os.kill(ranks.pids[1], signal.SIGKILL)
         died = r"a rank of LAMMPS died, and all 2 ranks with it: .*EXIT CODE: 9"

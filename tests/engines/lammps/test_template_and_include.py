@@ -341,7 +341,7 @@ def scenes(text: str) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("text", thinned(HOSTILE, 8))
+@pytest.mark.parametrize("text", thinned(HOSTILE, 15))
 def test_text_of_a_scene_does_not_enter_decks(
     text: str, here: Path, capsys: pytest.CaptureFixture[str]
 ):
