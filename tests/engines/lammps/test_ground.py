@@ -42,7 +42,8 @@ GROUNDS = {
 ACTING = {
     "strike": Impulse(velocity=1e-3),
     "displaced": Displacement(displacement=1e-8, grain=3),
-    "push": Force(grain=3, amplitude=0.1, frequency=1e5),
+    # The push ends within a step.
+    "push": Force(grain=3, amplitude=0.1, shape="half-sine", duration=4.03e-6),
     "drive": Drive(amplitude=1e-8, frequency=1e5),
 }
 HOSTS: dict[str, dict[str, Any]] = {
