@@ -5,6 +5,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers.example_scenes import paper
 from helpers.standalone_lammps import small
@@ -226,6 +227,19 @@ def test_a_contact_that_grain_types_cannot_express_is_named():
         simulate(
             small(contact_constants=constants, exponent=1.5),
             Lammps("verlet", pair_style="gran/hertz/history"),
+        )
+
+
+@pytest.mark.parametrize("alike", ["physical", "gauge"])
+def test_the_choice_of_the_diameter_requires_both(alike: str):
+    """Unlike grains have one stiffness with equal materials, or at one gauge diameter."""
+    unlike = np.linspace(1e-3, 2e-3, 25)
+    one_constant = {"contact_constants": np.full(24, 1e9), "exponent": 1.5}
+    scene = small(diameter=unlike, **(one_constant if alike == "gauge" else {}))
+    for diameter in ("physical", "gauge", "auto"):
+        engine = Lammps("verlet", 1e-7, diameter, "gran/hertz/history")
+        assert [key for key, _ in engine.refuses(scene)] == (
+            [] if diameter == alike else ["contact_constants"]
         )
 
 
