@@ -1,5 +1,6 @@
 """Energy in bands of wavenumber is conserved; each packet has its place, band and direction."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -40,6 +41,21 @@ def test_bands_add_up_to_the_energy_of_the_chain(
     of_all = near.kinetic.sum(1) + near.elastic.sum(1)
     assert split.total == pytest.approx(of_all, rel=1e-12)
     assert (split.downward <= split.energy * (1 + 1e-12)).all()
+    # Each window is a cosine of half its width, and the outermost ones are flat up to the ends.
+    count = max(1, round(180 / width) - 1)
+    hop = 90 / (count + 1)
+    assert split.place == pytest.approx(0.5 + hop * np.arange(1, count + 1), rel=1e-12)
+    assert split.width == pytest.approx(2 * hop, rel=1e-12)
+    assert split.resolution == pytest.approx(2 * np.pi / hop, rel=1e-12)
+    for number, middle in enumerate(split.place):
+        inside = np.zeros(len(t.time))
+        for places, values in ((near.grain, near.kinetic), (near.contact + 0.5, near.elastic)):
+            far = np.clip((places - middle) / hop, -1.0, 1.0)
+            far = np.maximum(far, 0) if number == 0 else far
+            far = np.minimum(far, 0) if number == count - 1 else far
+            inside += values @ np.cos(np.pi / 2 * far) ** 2
+        seen = split.energy[:, number].sum(1)
+        assert seen == pytest.approx(inside, rel=1e-9, abs=1e-12 * inside.max())
 
 
 def test_a_packet_is_in_its_band_and_moves_at_the_group_velocity() -> None:
@@ -51,6 +67,10 @@ def test_a_packet_is_in_its_band_and_moves_at_the_group_velocity() -> None:
     down = split.downward.sum((1, 2)) / split.total
     # Windows at the ends of the packet give a small upward share.
     assert (down > 1 - 1e-3).all()
+    mirrored = wavenumbers.bands(replace(t, velocity=-t.velocity), [0, 0.6, 1.4, np.pi], 60)
+    assert mirrored.energy == pytest.approx(split.energy, rel=1e-12)
+    up = (mirrored.energy - mirrored.downward).sum((1, 2)) / split.total
+    assert (up > 1 - 1e-3).all()
     centre = (split.energy.sum(2) @ split.place) / split.total
     speed = np.polyfit(split.time, centre, 1)[0] * t.scene.chain.time_scale
     # The packet has wavenumbers around 1 with a spread of 1/20, so the mean speed is exact to 2e-3.
@@ -71,7 +91,24 @@ def test_table_and_picture_have_the_bands() -> None:
     table = split.to_dataframe()
     assert len(table) == split.time.size * split.place.size
     assert table["energy_0_to_1.5 [J]"].sum() == pytest.approx(split.energy[..., 0].sum())
-    assert len(split.plot().get_legend_handles_labels()[1]) == 2
+    axes = split.plot()
+    assert axes.get_legend_handles_labels()[1] == ["0 to 1.5", "1.5 to 3.1"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain, from the top", "energy per grain")
+    # The areas add up to the energy per grain of all bands at the last sample.
+    tops = [shape.get_paths()[0].vertices[:, 1].max() for shape in axes.collections]
+    assert tops[-1] == pytest.approx(split.energy[-1].sum(1).max() / (split.width / 2), rel=1e-9)
+    # The order of the recorded grains does not matter.
+    t = packet()
+    order = np.argsort(np.sin(t.grains))
+    other = replace(
+        t,
+        grains=t.grains[order],
+        velocity=t.velocity[:, order],
+        displacement=t.displacement[:, order],
+    )
+    for name in ("energy", "downward", "error"):
+        same = getattr(wavenumbers.bands(other, [0, 1.5, np.pi], 80), name)
+        assert same == pytest.approx(getattr(split, name), rel=1e-9)
 
 
 def test_energies_that_cannot_be_split_are_rejected() -> None:
@@ -80,7 +117,11 @@ def test_energies_that_cannot_be_split_are_rejected() -> None:
     for arguments, key in (
         (([0, 1],), "edges"),
         (([0, 2, 1, np.pi],), "edges"),
-        ((None, 4), "width"),
+        (([0.1, np.pi],), "edges"),
+        (([0],), "edges"),
+        (([[0, np.pi]],), "edges"),
+        ((None, 7), "width"),
+        ((None, 401), "width"),
     ):
         with pytest.raises(InputError, match=f"^{key}"):
             wavenumbers.bands(t, *arguments)
