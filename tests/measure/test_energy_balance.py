@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -279,6 +280,22 @@ def test_a_foreign_trajectory_uses_only_its_samples():
     # The error of an inaccurate solution is included.
     rough = replace(t, error_estimate=ErrorEstimate(0.0, 1e-3), gathered={})
     assert energy.losses(rough).error > 1e-4 * found.total[0] > energy.losses(t).error
+
+
+@pytest.mark.parametrize("place", [{"grain": 0}, {"grain": 1}, {"end": "bottom"}])
+def test_samples_alone_show_the_work_and_losses_of_a_driver(place: dict[str, Any]):
+    """Integrals over dense samples agree with those that were accumulated, within small errors."""
+    shaker = Drive(**place, amplitude=1e-8, frequency=1e5)
+    scene = scene_of(Chain(**WALLS, damping=DAMPING), shaker, 4e-5, 401)
+    t = simulate(scene, "native", 1e-10)
+    foreign = replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
+    known, found = energy.ledger(t), energy.ledger(foreign)
+    for name in ("drive", "dissipated"):
+        off = largest(getattr(found, name) - getattr(known, name))
+        assert off <= getattr(found, f"{name}_error") < 1e-3 * largest(getattr(known, name))
+    assert largest(found.momentum_drift) <= found.impulse_error < 1e-3 * largest(found.impulse)
+    lost = energy.losses(foreign)
+    assert largest(lost.total - known.dissipated) <= lost.error < 1e-3 * lost.total[-1]
 
 
 def test_energies_are_preserved_by_all_kinds_of_runs(tmp_path: Path, monkeypatch):

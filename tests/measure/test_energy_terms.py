@@ -335,3 +335,83 @@ def test_errors_of_the_motion_propagate_to_the_energies():
     )
     again = energy.shares(between)
     assert np.array_equal(again.of_grain_error, seen.of_grain_error)
+
+
+EVEN = {"grains": 9, "diameter": 1e-3, "gravity": 0.0}
+SHAKEN = {"amplitude": 1e-8, "frequency": 1e5}
+# The chain, the excitation, and the contact between the chain and an outer body.
+DOUBTFUL: dict[str, tuple[Chain, Any, int | None]] = {
+    "drag": (Chain(**EVEN, bottom="free", damping={"drag": 1e2}), Impulse(velocity=3e-3), None),
+    "wall": (Chain(**EVEN, bottom="wall"), Impulse(velocity=3e-3, grain=8), 9),
+    "top wall": (Chain(**EVEN, bottom="free", top="wall"), Impulse(velocity=-3e-3, grain=2), 0),
+    "force": (Chain(**EVEN, bottom="free"), Force(grain=2, amplitude=1e-3, frequency=1e5), None),
+    "driven grain": (Chain(**EVEN, bottom="free"), Drive(**SHAKEN), 1),
+    "driven wall": (Chain(**EVEN, bottom="free", top="wall"), Drive(grain=0, **SHAKEN), 0),
+    "base": (Chain(**EVEN, bottom="wall"), Drive(end="bottom", **SHAKEN), 9),
+}
+
+
+def of_error(t: Trajectory, error: float) -> Trajectory:
+    """Return the samples of a run alone, with this relative error."""
+    return replace(t, error_estimate=ErrorEstimate(0.0, error), gathered={})
+
+
+@pytest.mark.parametrize("name", DOUBTFUL)
+def test_errors_of_the_motion_propagate_to_work_and_impulse(name: str):
+    """Errors of speeds and outer forces are integrated, unless the balance is more accurate."""
+    chain, excitation, place = DOUBTFUL[name]
+    t = run(chain, excitation, 1e-5, 161, 1e-6, engines.Native(step=1e-8))
+    unknown, rough = (of_error(t, error) for error in (np.inf, 1e-4))
+    fast, off = (motion_of(rough).known_error(field) for field in ("velocity", "displacement"))
+    known, found = energy.ledger(unknown), energy.ledger(rough)
+    impulse = drive = np.zeros(161)
+    if name == "drag":
+        impulse = impulse + fast * 1e2 * chain.masses.sum()
+    if name == "force":
+        drive = np.abs(excitation.waveform.at(t.time)) * fast
+    if place is not None:
+        bodies = np.zeros((161, 11))
+        bodies[:, 1:-1] = t.displacement
+        speed = np.zeros(161)
+        if isinstance(excitation, Drive):
+            outer = 10 if name == "base" else place
+            bodies[:, outer] = excitation.waveform.at(t.time)
+            speed = excitation.waveform.at(t.time, 1)
+        closer = bodies[:, place] - bodies[:, place + 1]
+        law = chain.contacts.of(place)
+        ends = [law.force_change(closer + 2 * side * off) for side in (-1, 1)]
+        impulse = np.abs(np.array(ends) - law.force_change(closer)).max(0)
+        drive = impulse * np.abs(speed)
+    for term, rate in (("drive", drive), ("impulse", impulse)):
+        error = getattr(found, f"{term}_error")
+        integral = getattr(known, f"{term}_error") + np.trapezoid(rate, t.time)
+        if term in found.balanced:
+            assert 0 < error < integral
+        else:
+            assert error == pytest.approx(integral, rel=1e-9)
+
+
+def test_errors_of_the_motion_propagate_to_losses():
+    """Powers A F' s^2 of contacts and m gamma v^2 of grains change by at most their error."""
+    viscous, drag = 1e-7, 1e2
+    chain = Chain(**EVEN, top_load=1e-2, damping={"viscoelastic": viscous, "drag": drag})
+    t = run(chain, Impulse(velocity=1e-4), 1e-5, 161, 1e-6, engines.Native(step=1e-8))
+    unknown, rough = (of_error(t, error) for error in (np.inf, 1e-4))
+    fast, off = (motion_of(rough).known_error(field) for field in ("velocity", "displacement"))
+    constant = chain.contact_constants[0]
+    overlap = chain.equilibrium_overlap - np.diff(t.displacement, axis=1)
+    closing = -np.diff(t.velocity, axis=1)
+
+    def power(nearer: float, faster: float) -> Array:
+        stiffness = 1.5 * constant * np.sqrt(np.maximum(overlap + nearer, 0.0))
+        return np.asarray(viscous * stiffness * (closing + faster) ** 2)
+
+    changes = [
+        np.abs(power(2 * one * off, 2 * other * fast) - power(0.0, 0.0))
+        for one in (-1, 1)
+        for other in (-1, 1)
+    ]
+    of_grains = drag * chain.masses[:-1] * fast * (2 * np.abs(t.velocity[:, :-1]) + fast)
+    rate = np.max(changes, axis=0).sum(1) + of_grains.sum(1)
+    more = energy.losses(rough).error - energy.losses(unknown).error
+    assert more == pytest.approx(np.trapezoid(rate, t.time), rel=1e-6)
