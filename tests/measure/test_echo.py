@@ -1,5 +1,7 @@
 """Echoes of pulses, against an independent integration by SciPy and exact solitary waves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.example_scenes import run
@@ -8,7 +10,9 @@ from scipy.optimize import minimize_scalar
 
 from lmpchain import Chain, Force, Impulse, InputError, Scene, simulate
 from lmpchain.measure import echo, flight
+from lmpchain.measure.motion import motion_of
 from lmpchain.theory import soliton
+from lmpchain.trajectory.record import ErrorEstimate
 
 BEADS = {"diameter": 5e-3, "material": "steel", "gravity": 0.0}
 
@@ -168,8 +172,30 @@ def test_missing_echoes_are_rejected_and_pictures_have_labels() -> None:
     for reflector, diameters in ((None, 16.5), (25, 16.5), (24, 16), (1, 7), (0, 7.5)):
         distance = echo.find(t, 8, reflector).distance
         assert distance == pytest.approx(2 * diameters * 5e-3, rel=1e-12)
-    axes = echo.find(t, 8).plot()
-    assert axes.get_xlabel() == "time"
+    found = echo.find(t, 8)
+    assert found.speed == pytest.approx(found.distance / found.seconds, rel=1e-14)
+    axes = found.plot()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "power through the grain")
+    assert axes.get_title("left").startswith("Grain 8: echo after ")
+    whole, down, up = axes.lines
+    assert np.array_equal(whole.get_xydata().T, [found.time, found.power])
+    for line, downward in ((down, True), (up, False)):
+        times = [pulse.time for pulse in found.pulses if pulse.downward == downward]
+        assert line.get_xdata() == pytest.approx(times, rel=1e-12)
+        heights = np.interp(times, found.time, found.power)
+        assert line.get_ydata() == pytest.approx(heights, rel=1e-12)
+        assert line.get_label() == f"pulse that goes {'down' if downward else 'up'}"
+    # An error e of all motion changes force and velocity by e, and energies by 2 e.
+    unknown, rough = (
+        replace(t, error_estimate=ErrorEstimate(0.0, error)) for error in (np.inf, 1e-4)
+    )
+    part = 2 * motion_of(rough).known_error("velocity") / np.abs(t.velocity).max()
+    assert part >= 2e-4
+    one, other = (echo.find(each, 8) for each in (unknown, rough))
+    for before, after in zip(one.pulses, other.pulses, strict=True):
+        more = after.energy_error - before.energy_error
+        assert more == pytest.approx(part * abs(after.energy), rel=1e-9)
+    assert other.share_error - one.share_error == pytest.approx(2 * part * other.share, rel=1e-6)
     push = Force(grain=1, shape="half-sine", amplitude=1e-9, duration=1e-3)
     still = simulate(Scene(chain=chain, excitation=push, duration=1e-9), "native")
     with pytest.raises(InputError, match="0 pulses"):

@@ -1,5 +1,6 @@
 """Power through contacts, compared with scattering theory, energy input and output."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,8 +10,10 @@ from helpers.example_scenes import run
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Trajectory, patterns, simulate
 from lmpchain.measure import energy, power
+from lmpchain.measure.motion import motion_of
 from lmpchain.theory import scattering
 from lmpchain.theory.steady import displacements
+from lmpchain.trajectory.record import ErrorEstimate
 
 CHAIN = column(
     60, gravity=0.0, top_load=1.0, bottom="wall", impurity=[{"grain": 30, "diameter": 1.6e-3}]
@@ -100,16 +103,63 @@ def test_errors_cover_what_is_left_of_transients(drag: float, periods: int) -> N
             assert abs(passed.input - passed.linear_input) <= passed.input_error
 
 
-def test_the_plot_has_mean_theory_and_share() -> None:
-    """The picture has the mean, linear theory and the share."""
-    ax = power.through(pushed(1e-4), 100).plot()
-    assert any("linear" in label for label in ax.get_legend_handles_labels()[1])
+def test_the_picture_has_the_range_the_mean_theory_and_the_share() -> None:
+    """Without the driven grain, the power of the drive and its share are unknown."""
+    t = pushed(1e-4)
+    passed = power.through(t, 100)
+    ax = passed.plot()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time", "power")
+    mean, linear = ax.lines
+    begin = t.time[-1] - passed.periods / FREQUENCY
+    assert mean.get_xdata() == pytest.approx([begin, t.time[-1]], rel=1e-9)
+    assert mean.get_ydata().tolist() == [passed.mean, passed.mean]
+    assert np.asarray(linear.get_ydata()).tolist() == [passed.linear, passed.linear]
+    assert [line.get_label().split(",")[0] for line in ax.lines] == ["mean", "linear"]
+    (band,) = ax.collections
+    places = band.get_paths()[0].vertices
+    assert (places[:, 1].min(), places[:, 1].max()) == (passed.power.min(), passed.power.max())
+    assert f"{100 * passed.share:.5g} % of that of the drive" in ax.get_title("left")
+    error = passed.error + passed.share * passed.input_error
+    assert passed.share_error == pytest.approx(error / passed.input, rel=1e-9)
+    near = (t.grains > 95) & (t.grains < 105)
+    some = replace(
+        t,
+        grains=t.grains[near],
+        velocity=t.velocity[:, near],
+        displacement=t.displacement[:, near],
+    )
+    alone = power.through(some, 100)
+    assert alone.mean == pytest.approx(passed.mean, rel=1e-9)
+    assert np.isnan([alone.input, alone.input_error, alone.share]).all()
+    assert "drive" not in alone.plot().get_title("left")
+
+
+def test_errors_of_powers_include_the_error_of_the_motion() -> None:
+    """An error e of all motion changes force and velocity by e, and the power by 2 e."""
+    t = pushed(1e-4)
+    unknown, rough = (
+        replace(t, error_estimate=ErrorEstimate(0.0, error)) for error in (np.inf, 1e-4)
+    )
+    part = 2 * motion_of(rough).known_error("velocity") / np.abs(t.velocity).max()
+    one, other = (power.through(each, 100) for each in (unknown, rough))
+    more = other.error - one.error
+    assert more == pytest.approx(part * np.abs(one.power).max(), rel=1e-6)
+    driven = t.scene.excitation.waveform.at(t.time) * t.velocity[:, 79]
+    more = other.input_error - one.input_error
+    assert more == pytest.approx(part * np.abs(driven).max(), rel=1e-6)
 
 
 def test_unsteady_runs_are_rejected() -> None:
     """Each mistake raises an error of one line with its key."""
     t = pushed(1e-4)
-    for arguments, key in (((500,), "contact"), ((100, 1), "periods"), ((100, 400), "periods")):
+    assert power.through(t, 100, 6).periods == 6
+    for arguments, key in (
+        ((500,), "contact"),
+        ((-1,), "contact"),
+        ((0,), "contact"),
+        ((100, 5), "periods"),
+        ((100, 151), "periods"),
+    ):
         with pytest.raises(InputError, match=f"^{key}"):
             power.through(t, *arguments)
     short = t.scene.replace(samples=201)
