@@ -21,7 +21,7 @@ from ..util.tabular import Tabular
 from . import crests
 from .energy import shares
 from .fit.column import is_uniform
-from .fit.solitary import END_GRAINS, SOLITARY, check_chain, exact_wave
+from .fit.solitary import END_GRAINS, SOLITARY, check_chain, exact_wave, slope_error
 
 __dir__ = listed(__name__)
 
@@ -333,7 +333,8 @@ def _line(grain: Array, time: Array, off: float) -> tuple[float, float]:
     half = len(grain) // 2
     line = stats.linregress(grain, time)
     halves = [stats.linregress(grain[s], time[s]).slope for s in (slice(half), slice(half, None))]
-    error = stats.t.ppf(0.975, len(grain) - 2) * line.stderr + abs(halves[0] - halves[1])
+    scatter = slope_error(grain, time, line.slope)
+    error = stats.t.ppf(0.975, len(grain) - 2) * scatter + abs(halves[0] - halves[1])
     error += 3 * off / np.ptp(grain)
     return float(1 / line.slope), float(error / line.slope**2)
 

@@ -5,9 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.example_scenes import scene_of
+from scipy import stats
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, simulate
-from lmpchain.measure import solitary
+from lmpchain.measure import crests, solitary
 from lmpchain.theory import soliton
 
 
@@ -77,6 +78,46 @@ def test_heavy_striker_sends_a_train_of_exact_solitary_waves() -> None:
         assert errors.max() < 1e-3
     share, error = train.all_share
     assert 0.99 < share < 1 + error
+
+
+def test_errors_add_scatter_sampling_and_change() -> None:
+    """Speeds and heights follow from the crests of the later half of the way, at least 12 grains.
+
+    The errors are half the 95 % interval, the effect of sampling, and the change along the way.
+    """
+    t = strike(striker=6.0, grains=200)
+    train = solitary.find(t)
+    velocity = t.velocity
+    arrived = velocity[:, -5:].max(1) > 1e-3 * velocity[len(velocity) // 2 :].max()
+    last = int(arrived.argmax()) if arrived.any() else len(velocity)
+    found = crests.find(t.time[:last], velocity[:last], 1e-4)
+    end = t.time[last - 1]
+    tops = crests.local_maxima(velocity[last - 1])
+    # Sampling limits the accuracy of the first waves, and their radiation that of the last ones.
+    for k in (0, 2, 4, 5, 6):
+        top = int(tops[np.abs(tops + 1 - train.grain[k]).argmin()])
+        pace = 1 / train.exact_speed[k]
+        begin = found.first(top - 2, end - 3.5 * pace, end)
+        assert begin is not None
+        way = found.follow(begin, pace, -1)
+        way = way[: max(12, way.size // 2)]
+        place, time, height = found.grain[way], found.time[way], found.height[way]
+        half = way.size // 2
+        middle = place - place.mean()
+        slope, early, late = (
+            np.polyfit(middle[s], time[s] - time.mean(), 1)[0]
+            for s in (slice(None), slice(half), slice(half, None))
+        )
+        left = time - time.mean() - slope * middle
+        scatter = np.sqrt(left @ left / (way.size - 2) / (middle @ middle))
+        error = stats.t.ppf(0.975, way.size - 2) * scatter + abs(early - late)
+        error += 3 * found.time_error[way].max() / np.ptp(place)
+        assert train.speed[k] == pytest.approx(1 / slope, rel=1e-9)
+        assert train.speed_error[k] / train.speed[k] ** 2 == pytest.approx(error, rel=1e-3)
+        error = stats.t.ppf(0.975, way.size - 1) * height.std(ddof=1) / np.sqrt(way.size)
+        error += abs(height[:half].mean() - height[half:].mean()) + found.height_error[way].max()
+        assert train.velocity[k] == pytest.approx(height.mean(), rel=1e-9)
+        assert train.velocity_error[k] == pytest.approx(error, rel=1e-6)
 
 
 def test_errors_cover_a_coarser_run() -> None:

@@ -185,14 +185,10 @@ def fit_soliton(
             front.width_error[complete].max() * speed,
         ]
     )
-    # The residuals give the error; `linregress` computes it from 1 - r^2, which rounding destroys.
-    distance = front.grain - front.grain.mean()
-    residual = front.time - front.time.mean() - line.slope * distance
-    slope_error = float(np.sqrt(residual @ residual / (residual.size - 2) / (distance @ distance)))
     deviation = np.array(
         [
             stats.sem(front.amplitude),
-            slope_error * speed**2,
+            slope_error(front.grain, front.time, line.slope) * speed**2,
             stats.sem(front.width[complete]) * speed,
         ]
     )
@@ -208,6 +204,14 @@ def fit_soliton(
         expected=expected,
         formula=float(formula) / time,
     )
+
+
+def slope_error(x: Array, y: Array, slope: float) -> float:
+    """Return the standard error of the slope of a line of least squares."""
+    # `linregress` computes this error from 1 - r^2, which rounding destroys.
+    distance = x - x.mean()
+    residual = y - y.mean() - slope * distance
+    return float(np.sqrt(residual @ residual / (residual.size - 2) / (distance @ distance)))
 
 
 def check_chain(chain: Chain) -> None:
