@@ -52,7 +52,7 @@ class Collision(Shown, Tabular):
         before the collision to the crest line after it.
     shift_error : (2,) array
         Error of the shift: scatter of the crests about both lines, and the uncertainty of both
-        speeds in the extrapolation to `time`.
+        speeds in the extrapolation to `time`, for which their changes along the lines continue.
     exact_speed : (2,) array
         Speeds of exact solitary waves with the velocities before the collision, grains/s.
     toda, kdv : (2,) arrays
@@ -118,6 +118,17 @@ class _CrestLine(NamedTuple):
     middle: float
     off: float
     speed_off: float
+    bend: float
+
+    def error_at(self, time: float) -> float:
+        """Return the error of the position of the line at a time, in grains.
+
+        The speed is assumed to change outside the line as it changes between the halves of the
+        line: the position of a wave that slows down steadily deviates with the square of the time.
+        """
+        away = abs(time - self.middle)
+        bent = self.bend * max(1.0, away / float(np.ptp(self.time)))
+        return self.off + (self.speed_off + bent) * away
 
     def at(self, time: Array | float) -> Array | float:
         """Return the position of the line at a time, in grains."""
@@ -298,7 +309,6 @@ def _line(
     noise = float(
         passages.time_error[near].max() + np.abs(t - t.mean() - slope * (x - x.mean())).max()
     )
-    speed_off = abs(float(pieces[0] - pieces[1])) + 3 * noise / float(np.ptp(x))
     return _CrestLine(
         grain=x,
         time=t,
@@ -308,7 +318,8 @@ def _line(
         origin=float(x.mean()),
         middle=float(t.mean()),
         off=noise * abs(speed),
-        speed_off=speed_off * speed**2,
+        speed_off=3 * noise / float(np.ptp(x)) * speed**2,
+        bend=abs(float(pieces[0] - pieces[1])) * speed**2,
     )
 
 
@@ -333,10 +344,7 @@ def _compare(
         s * float(late.at(time) - early.at(time))
         for s, early, late in zip(way, before, after, strict=True)
     ]
-    error = [
-        sum(line.off + line.speed_off * abs(time - line.middle) for line in pair)
-        for pair in zip(before, after, strict=True)
-    ]
+    error = [sum(line.error_at(time) for line in pair) for pair in zip(before, after, strict=True)]
     exact = [exact_wave(chain, line.height) for line in before]
     speeds = [wave.speed for wave, _ in exact]
     head_on = waves[0].way != waves[1].way

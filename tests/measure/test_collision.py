@@ -108,13 +108,18 @@ def test_head_on_shifts_tend_to_todas_as_amplitudes_fall() -> None:
     assert apart[0] / apart[1] == pytest.approx(1.7, abs=0.3)
 
 
-@pytest.mark.slow
-def test_errors_cover_the_change_in_a_longer_run() -> None:
-    """A run of twice the length changes the shift by less than the sum of both errors."""
-    short = collision.find(head_on(1.05, 500))
-    long = collision.find(head_on(1.05, 1000))
+@pytest.mark.parametrize(
+    ("speed", "grains", "more", "most"),
+    [(1.1, 100, 300, 0.02), pytest.param(1.05, 500, 1000, 0.005, marks=pytest.mark.slow)],
+)
+def test_errors_cover_the_change_in_a_longer_run(
+    speed: float, grains: int, more: int, most: float
+) -> None:
+    """A longer run changes the shift by less than the sum of both errors."""
+    short = collision.find(head_on(speed, grains))
+    long = collision.find(head_on(speed, more))
     error = short.shift_error[0] + long.shift_error[0]
-    assert abs(short.shift[0] - long.shift[0]) < error < 0.005
+    assert abs(short.shift[0] - long.shift[0]) < error < most
 
 
 @pytest.mark.slow
@@ -161,7 +166,7 @@ def test_equal_waves_in_a_vacuum_lose_more_if_they_meet_at_a_contact() -> None:
 
 # Speed, way and first place of each wave; number of grains; duration in units of time.
 PAIRS = {
-    "head-on": (((1.3, 1, 25.3), (1.2, -1, 134.6)), 160, 74.0),
+    "head-on": (((1.3, 1, 25.3), (2.0, -1, 134.6)), 160, 58.0),
     "overtaking": (((1.3, -1, 148.7), (2.0, -1, 172.5)), 190, 78.0),
 }
 
