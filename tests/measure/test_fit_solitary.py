@@ -65,8 +65,16 @@ def test_under_a_load(downward: bool):
     assert fit.width == pytest.approx(wave.width, rel=1e-4)
     assert fit.formula < fit.speed
     rows = {row.quantity: row for row in summary(t).rows if row.fit == "soliton"}
-    assert rows["speed"].value == fit.speed
     assert rows["width"].expected == pytest.approx(wave.width, rel=1e-5)
+    for name, value, error, unit_name in (
+        ("largest velocity", fit.amplitude, fit.error[0], "m/s"),
+        ("speed", fit.speed, fit.error[1], "grains/s"),
+        ("width", fit.width, fit.error[2], "grains"),
+    ):
+        row = rows[name]
+        assert (row.value, row.error, row.unit) == (value, error, unit_name)
+    formula = rows["speed by long-wave formula"]
+    assert (formula.value, formula.expected) == (fit.formula, rows["speed"].expected)
     height, speed, formula = fit.plot().lines
     assert np.max(height.get_ydata()) < 1e-4
     assert np.median(speed.get_ydata()) < 1e-4
