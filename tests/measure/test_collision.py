@@ -238,10 +238,12 @@ def test_waves_that_do_not_meet_are_rejected() -> None:
     wave = soliton.solve(speed=1.2)
     parting = wave.on(chain, 40, downward=False) + wave.on(chain, 80)
     meeting = wave.on(chain, 30) + wave.on(chain, 90, downward=False)
+    near = wave.on(chain, 56) + wave.on(chain, 64, downward=False)
     for excitation, steps, words in (
         (Impulse(velocity=1e-3), 20, "excitation|velocity|duration"),
         (parting, 20, "never meet"),
         (meeting, 30, "record longer"),
+        (near, 2, "excitation: the waves overlap at the start"),
     ):
         duration = steps * chain.time_scale
         scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=401)
