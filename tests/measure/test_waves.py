@@ -143,6 +143,9 @@ def test_grains_that_are_equal_within_five_per_cent():
     constants[[2, 24]] = 1e9 * 0.92, 1e9 * 1.085
     held = np.full(30, 1e-6)
     held[-1] = 1e-3
+    chain = column(30, gravity=0.0, top_load=0.1, masses=held)
+    t = linear_run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
+    assert np.unique(fit_bessel(t, until=t.time[-1]).grain)[[0, -1]].tolist() == [1, 30]
     chain = column(30, gravity=0.0, top_load=0.1, masses=held, contact_constants=constants)
     t = linear_run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
     assert np.unique(fit_bessel(t, until=t.time[-1]).grain)[[0, -1]].tolist() == [4, 25]
