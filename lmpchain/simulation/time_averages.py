@@ -440,7 +440,7 @@ def averages(
     observables = [observable(scene.chain, name) for name in names]
     course = _course(scene, time, warm_up)
     if copies > 1 and not course.warm_up:
-        raise _still_close(course)
+        _refuse_copies(course)
     longer = course.scene
     scenes = _copies(scene, longer, copies)
     method, reach = _first_reach(longer, tolerance)
@@ -634,15 +634,15 @@ def _check_apart(u: Array, course: _Course) -> None:
     """Raise `InputError` unless copies, (R, N) m, have become as distant as independent motions."""
     distances = np.abs(u[1:] - u[0]).max(-1)
     if (distances < AVERAGING.apart * np.abs(u).max()).any():
-        raise _still_close(course)
+        _refuse_copies(course)
 
 
-def _still_close(course: _Course) -> InputError:
-    """Return the error of copies that are not independent after the warm-up."""
+def _refuse_copies(course: _Course) -> None:
+    """Raise `InputError`, because copies are not independent after the warm-up."""
     warm_up = course.warm_up * course.scene.sampling_interval
     cure = "use one copy, or a longer warm_up"
     fault = f"are still close to each other after {warm_up:.3g} s of warm-up"
-    return InputError.at("copies", f"{fault}: {cure}")
+    raise InputError.at("copies", f"{fault}: {cure}")
 
 
 def _conclude(

@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 from helpers.faults import faults
 
@@ -72,7 +73,7 @@ def swept(**keys):
         (swept(grid={"chian.gravity": [1.0]}), "chain"),
         (swept(engine="nativ"), "native"),
         (swept(scene={"chian": {}}), "chain"),
-        (lambda: disorder.factors(1.0, 3, None, law="dysen"), "dyson"),
+        (lambda: disorder.factors(1.0, 3, np.random.default_rng(1), law="dysen"), "dyson"),
     ],
 )
 def test_python_suggests_names(ask, meant):
