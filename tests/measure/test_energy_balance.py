@@ -282,11 +282,22 @@ def test_a_foreign_trajectory_uses_only_its_samples():
     assert energy.losses(rough).error > 1e-4 * found.total[0] > energy.losses(t).error
 
 
-@pytest.mark.parametrize("place", [{"grain": 0}, {"grain": 1}, {"end": "bottom"}])
-def test_samples_alone_show_the_work_and_losses_of_a_driver(place: dict[str, Any]):
+@pytest.mark.parametrize(
+    ("place", "bottom", "driven"),
+    [
+        ({"grain": 0}, "wall", None),
+        ({"grain": 1}, "wall", 1),
+        ({"end": "bottom"}, "wall", None),
+        ({"end": "bottom"}, "fixed", 6),
+    ],
+)
+def test_samples_alone_show_the_work_and_losses_of_a_driver(
+    place: dict[str, Any], bottom: str, driven: int | None
+):
     """Integrals over dense samples agree with those that were accumulated, within small errors."""
     shaker = Drive(**place, amplitude=1e-8, frequency=1e5)
-    scene = scene_of(Chain(**WALLS, damping=DAMPING), shaker, 4e-5, 401)
+    chain = Chain(**WALLS | {"bottom": bottom}, damping=DAMPING)
+    scene = scene_of(chain, shaker, 4e-5, 401)
     t = simulate(scene, "native", 1e-10)
     foreign = replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
     known, found = energy.ledger(t), energy.ledger(foreign)
@@ -296,6 +307,11 @@ def test_samples_alone_show_the_work_and_losses_of_a_driver(place: dict[str, Any
     assert largest(found.momentum_drift) <= found.impulse_error < 1e-3 * largest(found.impulse)
     lost = energy.losses(foreign)
     assert largest(lost.total - known.dissipated) <= lost.error < 1e-3 * lost.total[-1]
+    # A driven grain has no drag.
+    drag = np.trapezoid(1e3 * chain.masses * t.velocity**2, t.time, axis=0)
+    if driven:
+        drag[driven - 1] = 0
+    assert lost.of_grain[-1] == pytest.approx(drag, rel=1e-2)
 
 
 def test_energies_are_preserved_by_all_kinds_of_runs(tmp_path: Path, monkeypatch):

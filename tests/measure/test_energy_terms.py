@@ -148,24 +148,44 @@ HAMMERS = {
         times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear", grain=0
     ),
     "grain 1": Drive(times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear"),
+    "grain 1 on a ground": Drive(
+        times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear"
+    ),
+    "a base": Drive(
+        times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear", end="bottom"
+    ),
+    "the last grain": Drive(
+        times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear", end="bottom"
+    ),
 }
 
 
 @pytest.mark.parametrize("name", HAMMERS)
-@pytest.mark.parametrize("within", [0.6, 1.5, 2.5, 3.3, 5.5, 8.5, 11.5])
+@pytest.mark.parametrize("within", [0.6, 1.5, 3.3, 8.5])
 def test_the_work_of_a_hammer_is_right_for_few_samples(name: str, within: float):
     """The work of a hammer is accurate despite kinks between few samples.
 
-    The work is compared with the energy gained.
+    The work is compared with the energy gained. The samples alone suffice: where they do not show
+    the kinks, the interpolation between them is of fourth order.
     """
     top = "wall" if name == "a wall" else "free"
-    chain = Chain(grains=60, diameter=5e-3, top_load=1.0, gravity=0.0, top=top)
+    bottom = "wall" if name == "a base" else "fixed"
+    ground = {"ground": Law("k*u", k=1e7)} if name == "grain 1 on a ground" else {}
+    ends = {"top": top, "bottom": bottom} | ground
+    chain = Chain(grains=60, diameter=5e-3, top_load=1.0, gravity=0.0, **ends)
     samples = 25
-    seen = energy.ledger(run(chain, HAMMERS[name], (samples - 1) * 1e-5 / within, samples, 1e-9))
-    assert np.abs(seen.drift).max() <= seen.drive_error + 1e-8 * seen.total.max()
-    # Momenta cancel in a burst.
-    rounding = 1e-8 * max(np.abs(seen.momentum).max(), 1e-2 * 1e-5)
-    assert np.abs(seen.momentum_drift).max() <= seen.impulse_error + rounding
+    t = run(chain, HAMMERS[name], (samples - 1) * 1e-5 / within, samples, 1e-9)
+    alone = energy.ledger(of_error(t, np.inf))
+    for seen in (energy.ledger(t), alone):
+        assert np.abs(seen.drift).max() <= seen.drive_error + 1e-8 * seen.total.max()
+        # Momenta cancel in a burst.
+        rounding = 1e-8 * max(np.abs(seen.momentum).max(), 1e-2 * 1e-5)
+        assert np.abs(seen.momentum_drift).max() <= seen.impulse_error + rounding
+    assert not alone.balanced
+    assert np.abs(alone.drift).max() < 2 / within**4 * alone.total.max()
+    if not ground:  # The force of a ground has kinks that the samples must show.
+        lost = np.abs(alone.momentum_drift).max()
+        assert lost < 0.2 / within**4 * max(np.abs(alone.momentum).max(), 1e-2 * 1e-5)
 
 
 def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:

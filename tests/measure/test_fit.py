@@ -562,9 +562,11 @@ def test_fit_faults_have_exit_code_2(
     assert said.out == ""
 
 
-def test_bessel_functions_need_a_passing_wave():
-    """Below a wall, the first grain is disturbed at once, so its motion cannot be fitted."""
+@pytest.mark.parametrize("grain", [1, 40])
+def test_bessel_functions_need_a_passing_wave(grain: int):
+    """The grain at a wall is disturbed at once, so its motion cannot be fitted."""
     walls = {"top": "wall", "bottom": "wall", "gravity": 0.0, "top_load": 2.0}
-    scene = struck(column(40, material="steel", diameter=5e-3, **walls), 1e-4, 3e-4, 301)
+    chain = column(40, material="steel", diameter=5e-3, **walls)
+    scene = scene_of(chain, Impulse(velocity=1e-4, grain=grain), 3e-4, 301)
     with pytest.raises(InputError, match="too few or do not show the wave"):
         fit_bessel(simulate(scene, engine="native"))

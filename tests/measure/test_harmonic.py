@@ -11,7 +11,7 @@ from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 
-from lmpchain import Chain, Drive, Force, InputError, Trajectory, patterns, simulate
+from lmpchain import Chain, Drive, Force, InputError, Law, Trajectory, patterns, simulate
 from lmpchain.measure import harmonic
 
 LOADED = {"material": "steel", "diameter": 1e-2, "gravity": 0.0, "top_load": 20.0}
@@ -185,6 +185,41 @@ def test_a_gap_is_measured_as_a_decay() -> None:
         assert abs(found.decay - abs(exact.imag)) < 2 * found.decay_error < 2e-3
         off = np.angle(np.exp(1j * (found.phase - exact.real)))
         assert abs(off) < 2 * found.phase_error < 2e-3
+
+
+def test_a_cell_of_three_grains_on_a_ground() -> None:
+    """Phase and decay of a damped trimer follow from the determinant of its unit cell."""
+    losses = {"viscoelastic": 2e-6, "drag": 3e3}
+    chain = Chain(
+        grains=48,
+        masses=np.tile([4e-3, 6e-3, 3e-3], 16),
+        contact_constants=np.tile([1e10, 2e10, 0.6e10], 16)[:-1],
+        ground=Law("k*u", k=4e6),
+        damping=losses,
+        **LOADED,
+    )
+    omega = 0.2 * chain.band_edge
+    small = 1e-6 * float(chain.equilibrium_overlap.min())
+    drive = Drive(amplitude=small, frequency=omega / 2 / np.pi)
+    found = harmonic.wave(driven(chain, drive, 100), cell=3)
+    springs = chain.linear_stiffness[:3] * (1 + 1j * omega * losses["viscoelastic"])
+    inner = 4e6 - chain.masses[:3] * (omega**2 - 1j * omega * losses["drag"])
+
+    def determinant(turn: float) -> complex:
+        cell = np.diag(springs + np.roll(springs, 1) + inner)
+        cell -= np.diag(springs[:2], 1) + np.diag(springs[:2], -1)
+        cell[[0, 2], [2, 0]] -= springs[2] * turn
+        return complex(np.linalg.det(cell))
+
+    # The determinant is linear in cos(k), which is 1 and -1 for these turns.
+    ends = determinant(1.0), determinant(-1.0)
+    exact = np.arccos((ends[0] + ends[1]) / (ends[1] - ends[0]))
+    exact *= -np.sign(exact.imag)
+    assert found.linear_phase == pytest.approx(exact.real, rel=1e-9)
+    assert found.linear_decay == pytest.approx(-exact.imag, rel=1e-9)
+    assert abs(found.phase - exact.real) < 2 * found.phase_error < 1e-3
+    assert abs(found.decay + exact.imag) < 2 * found.decay_error < 1e-3
+    assert found.cell == 3
 
 
 @pytest.mark.parametrize("bottom", ["wall", "fixed"])
