@@ -2,6 +2,7 @@
 
 from dataclasses import astuple, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -223,6 +224,51 @@ def test_steady_shock_of_a_damped_chain() -> None:
     last = np.flatnonzero(found.overlap > OVERLAP + 0.95 * jump)[-1]
     change = np.diff(found.overlap_then[:, last]) / np.diff(found.moment)
     assert found.thickness == pytest.approx(speed * jump / change.max(), rel=0.02)
+
+
+def test_speed_and_error_of_a_front_that_slows_down() -> None:
+    """The speed is that of the later half of the passages, and the error contains its change."""
+    width, jump, slowing = 1.5, 0.2 * OVERLAP, 1e-3
+    chain = CHAIN.replace(grains=120, damping=Damping(viscoelastic=0.3 / SOUND))
+    drive = Drive(shape="piston", velocity=0.3 * OVERLAP * SOUND, rise=1e-9 / SOUND, grain=0)
+    time = np.linspace(0, 70, 701)
+    place = 1.5 * time - slowing * time**2 - 10
+    pace = 1.5 - 2 * slowing * time
+    numbers = np.arange(1, 120)
+    shape = np.tanh((place[:, None] - numbers) / width)
+    nearer = jump * (1 + shape) / 2
+    closing = SOUND * jump * (1 - shape**2) / 2 / width * pace[:, None]
+    u, v = np.zeros((2, time.size, 120))
+    u[:, :-1], v[:, :-1] = (x[:, ::-1].cumsum(1)[:, ::-1] for x in (nearer, closing))
+    t = SimpleNamespace(
+        scene=SimpleNamespace(chain=chain, excitation=drive),
+        time=time / SOUND,
+        displacement=u,
+        velocity=v,
+        grains=np.arange(1, 121),
+    )
+    found = shock.find(t)  # type: ignore[arg-type]
+    # Contacts from half of the way to the last that has 95 % of the jump.
+    last = np.floor(place[-1] - width * np.arctanh(0.9))
+    passed = np.arange(np.floor(place[-1] - 1) // 2 + 1, last)
+    passage = (1.5 - np.sqrt(1.5**2 - 4 * slowing * (passed + 10))) / 2 / slowing
+    half = passed.size // 2
+    early, late = (
+        np.polyfit(passage[part], passed[part], 1, cov=True)
+        for part in (slice(half), slice(half, None))
+    )
+    speed = SOUND * late[0][0]
+    error = SOUND * (2 * np.sqrt(late[1][0, 0]) + early[0][0] - late[0][0])
+    assert found.leading.speed == pytest.approx(speed, rel=1e-6)
+    assert found.leading.error == pytest.approx(error, rel=1e-4)
+    height = jump * (1 + np.tanh((place[-1] - passed[-1]) / width)) / 2
+    assert found.leading.height == pytest.approx(height, rel=1e-6)
+    spread = found.behind_error.overlap
+    assert found.leading.height_error == pytest.approx(jump - height + spread, rel=1e-4)
+    assert found.leading.velocity == pytest.approx(v[:, int(passed[-1]) - 1].max(), rel=1e-9)
+    local = np.interp(passage[-1], time, pace)
+    assert found.thickness == pytest.approx(2 * width * late[0][0] / local, rel=1e-3)
+    assert found.mass_speed == pytest.approx(found.behind.velocity / jump, rel=1e-4)
 
 
 @pytest.mark.parametrize("direction", ["down", "up"])
