@@ -363,6 +363,11 @@ SHAKEN = {"amplitude": 1e-8, "frequency": 1e5}
 DOUBTFUL: dict[str, tuple[Chain, Any, int | None]] = {
     "drag": (Chain(**EVEN, bottom="free", damping={"drag": 1e2}), Impulse(velocity=3e-3), None),
     "wall": (Chain(**EVEN, bottom="wall"), Impulse(velocity=3e-3, grain=8), 9),
+    "viscous wall": (
+        Chain(**EVEN, bottom="wall", damping={"viscoelastic": 1e-7}),
+        Impulse(velocity=3e-3, grain=8),
+        9,
+    ),
     "top wall": (Chain(**EVEN, bottom="free", top="wall"), Impulse(velocity=-3e-3, grain=2), 0),
     "force": (Chain(**EVEN, bottom="free"), Force(grain=2, amplitude=1e-3, frequency=1e5), None),
     "driven grain": (Chain(**EVEN, bottom="free"), Drive(**SHAKEN), 1),
@@ -390,17 +395,24 @@ def test_errors_of_the_motion_propagate_to_work_and_impulse(name: str):
     if name == "force":
         drive = np.abs(excitation.waveform.at(t.time)) * fast
     if place is not None:
-        bodies = np.zeros((161, 11))
-        bodies[:, 1:-1] = t.displacement
+        bodies, speeds = np.zeros((2, 161, 11))
+        bodies[:, 1:-1], speeds[:, 1:-1] = t.displacement, t.velocity
         speed = np.zeros(161)
         if isinstance(excitation, Drive):
             outer = 10 if name == "base" else place
             bodies[:, outer] = excitation.waveform.at(t.time)
             speed = excitation.waveform.at(t.time, 1)
         closer = bodies[:, place] - bodies[:, place + 1]
+        closing = speeds[:, place] - speeds[:, place + 1]
         law = chain.contacts.of(place)
-        ends = [law.force_change(closer + 2 * side * off) for side in (-1, 1)]
-        impulse = np.abs(np.array(ends) - law.force_change(closer)).max(0)
+        viscous = 1e-7 if name == "viscous wall" else 0.0
+
+        def force(nearer: float, faster: float) -> Array:
+            stiffness = law.stiffness_at(np.maximum(law.overlap + closer + nearer, 0.0))
+            return law.force_change(closer + nearer) + viscous * stiffness * (closing + faster)
+
+        ends = [force(2 * side * off, 2 * way * fast) for side in (-1, 1) for way in (-1, 1)]
+        impulse = np.abs(np.array(ends) - force(0.0, 0.0)).max(0)
         drive = impulse * np.abs(speed)
     for term, rate in (("drive", drive), ("impulse", impulse)):
         error = getattr(found, f"{term}_error")

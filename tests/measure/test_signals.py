@@ -200,6 +200,28 @@ def test_the_flight_of_a_bump(method: Any):
             time_of_flight(made, first, second, way)  # type: ignore[arg-type]
 
 
+def test_a_correlation_is_an_integral_by_the_trapezoidal_rule():
+    """Forces that are not 0 at the start and the end count half there, for either direction."""
+    chain = column(30, gravity=0.0, top_load=1.0, exponent=1.0)
+    t = simulate(struck(chain, 1e-6, 1.6e-5, 161), engines.Native(step=1e-7))
+    late = t.time[:, None] + 3e-6 - 1.013e-6 * t.grains
+    made = replace(t, displacement=1e-9 * np.tanh(late / 2e-6) * (t.grains < 30))
+    shifts = np.arange(-160, 161)
+    for first, second in ((5, 13), (13, 5)):
+        one, two = (sensor(made, grain).change for grain in (first, second))
+        assert abs(one[0] * two[0]) > 1e-6 * np.abs(one).max() * np.abs(two).max()
+        products = np.array(
+            [
+                np.trapezoid(one[max(0, -k) : 161 - max(0, k)] * two[max(0, k) : 161 + min(0, k)])
+                for k in shifts
+            ]
+        )
+        best = arrival(1e-7 * shifts, products)
+        found = time_of_flight(made, first, second, "correlation")
+        assert found.seconds == pytest.approx(best.time, rel=1e-9)
+        assert found.error >= best.error
+
+
 @pytest.mark.parametrize(("load", "bottom", "duration"), [(10.0, "fixed", 70), (1.0, "wall", 80)])
 def test_the_error_of_a_correlation_covers_the_sampling(load: float, bottom: str, duration: int):
     """Echoes that are cut off by the end of the recording change the integrals over time."""
