@@ -268,6 +268,9 @@ def test_the_lines_of_the_picture():
     axes = driven.plot(figure().subplots())
     assert axes.lines[3].get_ydata() == pytest.approx(1 + 0.25 * quiet.time, rel=1e-14)
     assert axes.get_title("left") == "Drift: at most 0.12 of the largest total"
+    lossy = swinging(dissipated=0.2 * quiet.time).plot(figure().subplots())
+    assert lossy.lines[3].get_label() == "dissipated"
+    assert np.array_equal(lossy.lines[3].get_ydata(), 0.2 * quiet.time)
     assert axes.xaxis.get_major_formatter()(3e-6) == "3 µs"
     assert axes.yaxis.get_major_formatter()(2e-12) == "2 pJ"
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "energy above rest")

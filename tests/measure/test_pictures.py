@@ -233,6 +233,7 @@ def test_a_front_against_depth():
         assert_lines(axes, (n - 0.5, values))
         assert (axes.get_ylabel(), axes.get_xlabel()) == (label, "depth h = n − 1/2 (grains)")
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+        assert axes.xaxis.get_major_formatter()(20.0) == "20"
         # Only the times differ by more than a decade.
         assert isinstance(axes.yaxis.get_major_locator(), LogLocator) == (quantity == "time")
     assert_lines(front.plot(), (n - 0.5, 2e-3 / n))

@@ -61,6 +61,11 @@ def test_an_upward_wave_is_the_mirror_image() -> None:
     step = Riemann(velocity=(0, 0), strain=(0, less), grain=249)
     mirrored = simulate(t.scene.replace(excitation=step), "native", 1e-6)
     down = self_similar.view(t)
+    *_, limit, leading, trailing = down.plot().lines
+    assert limit.get_label() == "simple wave"
+    assert np.array_equal(limit.get_ydata(), down.limit, equal_nan=True)
+    edges = [down.shock.leading.speed, down.shock.trailing.speed]
+    assert [line.get_xdata()[0] for line in (leading, trailing)] == edges
     up = self_similar.view(mirrored, "up")
     assert up.shock.kind == "rarefaction"
     assert up.speed == pytest.approx(down.speed, rel=1e-2)
