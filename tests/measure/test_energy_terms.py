@@ -280,8 +280,11 @@ def test_the_lines_of_the_picture():
     assert still.get_title("left").startswith("Drift: at most 0 ")
 
 
-@pytest.mark.parametrize("ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall"}])
-def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str]):
+@pytest.mark.parametrize(
+    "ends",
+    [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall"}, {"ground": Law("k*u", k=1e5)}],
+)
+def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, Any]):
     """Each contact has E = K [o^(d+1) - eps^(d+1)] / (d+1) - F (o - eps)."""
     chain = Chain(**UNEVEN, **ends)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=7)
@@ -303,6 +306,8 @@ def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str])
     assert seen.kinetic == pytest.approx(kinetic, rel=1e-14)
     assert seen.elastic == pytest.approx(elastic[:, seen.contact], rel=1e-7, abs=1e4 * scale)
     of_grain = kinetic + share[:, :-1] + share[:, 1:]
+    if chain.ground:
+        of_grain += 1e5 * t.displacement**2 / 2
     assert seen.of_grain == pytest.approx(of_grain, rel=1e-7, abs=1e4 * scale)
     for first, last in ((1, 9), (3, 3), (4, 9)):
         assert seen.part(first, last) == pytest.approx(
@@ -328,9 +333,12 @@ def test_grains_in_the_order_in_which_they_were_recorded():
         some.part(5, 7)
 
 
-def test_errors_of_the_motion_propagate_to_the_energies():
+@pytest.mark.parametrize("spring", [0.0, 1e5])
+def test_errors_of_the_motion_propagate_to_the_energies(spring: float):
     """Errors dv of speeds and du of displacements change the energies by exact formulas."""
     chain = Chain(**UNEVEN, bottom="wall")
+    if spring:
+        chain = chain.replace(ground=Law("k*u", k=spring))
     t = run(chain, Impulse(velocity=3e-3, grain=4), 2e-5, 41, 1e-6, engines.Native(step=1e-8))
     t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-4, model=0.0))
     seen = energy.shares(t)
@@ -353,8 +361,9 @@ def test_errors_of_the_motion_propagate_to_the_energies():
     beside = np.zeros((41, 10))
     beside[:, seen.contact] = seen.elastic_error
     beside[:, 1:-1] /= 2
+    of_ground = off * spring * (np.abs(t.displacement) + off)
     assert seen.of_grain_error == pytest.approx(
-        seen.kinetic_error + beside[:, :-1] + beside[:, 1:], rel=1e-12
+        seen.kinetic_error + beside[:, :-1] + beside[:, 1:] + of_ground, rel=1e-12
     )
     again = energy.shares(between)
     assert np.array_equal(again.of_grain_error, seen.of_grain_error)
