@@ -322,6 +322,13 @@ def test_exponents_relative_to_those_of_a_weak_wave():
     local = {"velocity": Exponents("amplitude", depth, np.array([-0.2, -0.22]), error, error)}
     theory = {"velocity": -4 / 15, "time": 5 / 6}
     weak = ExponentFit(laws, theory, local, np.array([14, 46]), np.array([0.2, 0.1]))
+    rows = [
+        FittedNumber("exponents", "strength at grain 46", 0.1),
+        FittedNumber("exponents", "velocity near grain 40", -0.22, 0.02, -4 / 15),
+        FittedNumber("exponents", "velocity at great depth", -0.25, 0.01, -4 / 15),
+        FittedNumber("exponents", "time at great depth", 0.8, 0.02, 5 / 6),
+    ]
+    assert list(weak.rows()) == rows
     axes = weak.plot()
     above = local["velocity"].exponent + 4 / 15
     curve = next(line for line in axes.lines if line.get_label() == "velocity")
@@ -342,6 +349,7 @@ def test_exponents_relative_to_those_of_a_weak_wave():
     assert axes.get_ylabel() == "local exponent d log / d log h\nless that of a weak wave"
     # A strong wave has no law of great depth.
     strong = ExponentFit(laws, theory, local, np.array([14, 46]), np.array([9.0, 5.0]))
+    assert list(strong.rows()) == [replace(rows[0], value=5.0), rows[1]]
     axes = strong.plot()
     assert not [line for line in axes.lines if line.get_marker() == "o"]
     assert "no law of great depth: the wave is still strong" in str(strong)
