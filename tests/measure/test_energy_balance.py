@@ -199,6 +199,10 @@ def test_losses_and_work_close_the_balance_by_any_number_of_samples(name: str, s
     ):
         assert largest(value - true[shown]) <= error + 1e-11 * put_in
         assert error < 1e-8 * put_in
+    lost = energy.losses(t)
+    assert largest(lost.total - exact(name)[0][shown]) <= lost.error + 1e-11 * put_in
+    known = largest(lost.total - balance.dissipated) + balance.dissipated_error
+    assert lost.error >= known or not t.scene.chain.damped
 
 
 LINEAR_CASES = [
