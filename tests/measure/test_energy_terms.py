@@ -383,6 +383,11 @@ DOUBTFUL: dict[str, tuple[Chain, Any, int | None]] = {
     "top wall": (Chain(**EVEN, bottom="free", top="wall"), Impulse(velocity=-3e-3, grain=2), 0),
     "force": (Chain(**EVEN, bottom="free"), Force(grain=2, amplitude=1e-3, frequency=1e5), None),
     "driven grain": (Chain(**EVEN, bottom="free"), Drive(**SHAKEN), 1),
+    "driven grain on a ground": (
+        Chain(**EVEN, bottom="free", ground=Law("k*u", k=1e3)),
+        Drive(**SHAKEN),
+        1,
+    ),
     "driven wall": (Chain(**EVEN, bottom="free", top="wall"), Drive(grain=0, **SHAKEN), 0),
     "base": (Chain(**EVEN, bottom="wall"), Drive(end="bottom", **SHAKEN), 9),
 }
@@ -425,7 +430,11 @@ def test_errors_of_the_motion_propagate_to_work_and_impulse(name: str):
 
         ends = [force(2 * side * off, 2 * way * fast) for side in (-1, 1) for way in (-1, 1)]
         impulse = np.abs(np.array(ends) - force(0.0, 0.0)).max(0)
+        if chain.ground:
+            impulse = impulse + 1e3 * off
         drive = impulse * np.abs(speed)
+    if chain.ground:
+        impulse = impulse + 9 * 1e3 * off
     for term, rate in (("drive", drive), ("impulse", impulse)):
         error = getattr(found, f"{term}_error")
         integral = getattr(known, f"{term}_error") + np.trapezoid(rate, t.time)
