@@ -13,7 +13,7 @@ from helpers.independent_theory import dense_modes
 from numpy.typing import NDArray
 from scipy.special import jv
 
-from lmpchain import Chain, Displacement, Impulse, InputError, Trajectory
+from lmpchain import Chain, Displacement, Impulse, InputError, Law, Trajectory
 from lmpchain.measure.fit import waves
 from lmpchain.measure.fit.waves import fit_bessel, fit_modes
 
@@ -245,6 +245,13 @@ def test_amplitudes_and_energies_of_modes():
     energy = (rate**2 + squares * amplitude**2) / 2
     assert fit.energy == pytest.approx(energy[0], rel=1e-8)
     assert np.array_equal(fit.time, t.time)
+    assert fit.given == pytest.approx(t.scene.energy, rel=1e-12)
+    # A ground changes the modes, and its energy is unknown.
+    grounded = chain.replace(ground=Law("k*u", k=0.1 * chain.linear_stiffness[0]))
+    held = fit_modes(replace(t, scene=t.scene.replace(chain=grounded)))
+    assert held.frequency == pytest.approx(np.sqrt(dense_modes(grounded)[0]), rel=1e-10)
+    assert held.frequency[0] > 1.1 * fit.frequency[0]
+    assert np.isnan(held.given)
     bent = replace(
         t,
         velocity=t.velocity * (1 + 0.1 * t.time[:, None] / t.time[-1]),
