@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from ..errors import InputError, shown
@@ -50,13 +51,12 @@ def _read_goal(arguments: argparse.Namespace) -> tuple[str, float]:
     if mode:
         return "", 0.0
     name, _, value = arguments.follow.partition("=")
-    try:
-        return name, float(value)
-    except ValueError:
-        example = f"drive.frequency=1.2e4 (got {shown(arguments.follow)})"
-        raise InputError.at(
-            "--follow", f"must be a number and its last value, as {example}"
-        ) from None
+    # An empty name would stand for a mode.
+    with suppress(ValueError):
+        if name:
+            return name, float(value)
+    example = f"drive.frequency=1.2e4 (got {shown(arguments.follow)})"
+    raise InputError.at("--follow", f"must be a number and its last value, as {example}")
 
 
 def _answers(scene: Scene, name: str, until: float) -> Family:

@@ -271,7 +271,6 @@ def switch(event: Event) -> Orbit:
         single,
         period=2 * single.period,
         flow=replace(single.flow, cycles=2 * single.flow.cycles),
-        mesh=np.tile(single.mesh, 2) / 2,
         # Either of two orbits half a period apart may begin with all grains at rest.
         reversible=single.reversible and bool(np.abs(momenta).max() < BRANCHING.still),
     )

@@ -189,6 +189,37 @@ def test_a_stopped_command_reports_saved_files(
         assert signal.getsignal(signal.SIGTERM) == before
 
 
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (MemoryError(), 1, "memory ran out: record fewer grains or samples, or"),
+        (RuntimeError("can't start new thread"), 1, "memory ran out: record fewer grains"),
+        (FileNotFoundError(2, "No such file", "a.nc"), 1, "[Errno 2] No such file: 'a.nc'"),
+        (
+            InputError([(" ", "is blank"), ("b", "is wrong")]),
+            2,
+            "' ': is blank\nerror: b: is wrong",
+        ),
+        (RuntimeError("a fault of the program"), None, ""),
+    ],
+)
+def test_an_error_during_a_command_has_its_message_and_code(
+    error: Exception, code: int | None, said: str, scene: Path, monkeypatch: Any, capsys: Any
+):
+    """An error that has no message for the user is not hidden."""
+
+    def fails(*_: Any) -> None:
+        raise error
+
+    monkeypatch.setattr("lmpchain.simulation.planner.plan", fails)
+    if code is None:
+        with pytest.raises(RuntimeError, match="a fault of the program"):
+            main(["plan", str(scene)])
+    else:
+        assert main(["plan", str(scene)]) == code
+        assert capsys.readouterr().err.startswith(f"error: {said}")
+
+
 def test_a_stopped_run_folder_names_the_resume_command(scene: Path, monkeypatch: Any, capsys: Any):
     folder = scene.parent / "run"
     assert main(["run", str(scene), "-o", f"{folder}/", "--engine", "native"]) == 0
@@ -771,6 +802,32 @@ def test_a_slider_is_read_from_its_range_number_and_scale():
     key, values = read_axis("excitation.velocity=1e-6:1e-2:3:log")
     assert key == "excitation.velocity"
     assert values == pytest.approx([1e-6, 1e-4, 1e-2], rel=1e-12)
+    for text, values in {
+        "1:4": [1, 2, 3, 4],  # No integer appears twice.
+        "1:1000:4:log": [1, 10, 100, 1000],
+        "1:10:3:log": [1, 3, 10],
+        "-1:+2:2": [-1, 2],
+        "1:10:3": [1.0, 5.5, 10.0],
+        "1.0:3:3": [1.0, 2.0, 3.0],
+    }.items():
+        assert [*map(repr, read_axis(f"a.b={text}")[1])] == [*map(repr, values)]
+    for text, key, message in (
+        ("=1:2", "over", "must be KEY=LOW:HIGH"),
+        ("a", "over", "must be KEY=LOW:HIGH"),
+        ("a=1", "over", "must be KEY=LOW:HIGH"),
+        ("a=1:2:3:4", "over", "must be KEY=LOW:HIGH"),
+        ("a=1:log", "over", "must be KEY=LOW:HIGH"),
+        ("a=2:1", "a", "the range must ascend (got 2:1)"),
+        ("a=2:2", "a", "the range must ascend (got 2:2)"),
+        ("a=0:2:log", "a", "a range in equal ratios must begin above 0 (got 0)"),
+        ("a=1:2:1", "a", "the number of runs must be 2 or more (got '1')"),
+        ("a=1:2:2.5", "a", "the number of runs must be 2 or more (got '2.5')"),
+        ("a=x:2", "a", "the ends of the range must be numbers (got 'x')"),
+        ("a=1:inf", "a", "the ends of the range must be numbers (got 'inf')"),
+    ):
+        ((found, said),) = faults(read_axis, text)
+        assert found == key
+        assert said.startswith(message)
 
 
 def test_files_and_grains_that_do_not_fit_a_command_are_rejected(

@@ -79,6 +79,7 @@ def test_requests_without_one_goal_are_rejected(tmp_path: Path, capsys: pytest.C
     goal = "orbit: needs a mode or a drive to follow, not both"
     for wrong, message in {
         ("--follow", "drive.frequency"): "--follow: must be a number and its last value",
+        ("--follow", "=1.2e4"): "--follow: must be a number and its last value",
         ("--follow", "drive.speed=1"): "parameter: must be period, a number of the drive",
         (*follow, "--of", "force:9"): "of: the contacts are numbered",
         (): goal,

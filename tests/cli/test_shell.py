@@ -13,7 +13,7 @@ from helpers.command_output import SCENE, keys, names
 
 from lmpchain import Scene, Trajectory
 from lmpchain.cli import common, main
-from lmpchain.cli.verbs import VERBS
+from lmpchain.cli.verbs import GROUPS, VERBS
 
 MEASURED = SCENE + 'quantities = ["arrival_time", "peak_force:5"]\n'
 
@@ -262,4 +262,13 @@ def test_the_manual_lists_every_command_and_option(capsys):
         for spelled, _ in (*verb.arguments, *verb.choice):
             assert not spelled[-1].startswith("-") or spelled[-1] in part
         assert f"Example: lmpchain {verb.example}" in part
+    # The groups of commands keep their lines; the other paragraphs are filled.
+    shown = plain.split(".SH DESCRIPTION\n")[1].split("\n.SH OPTIONS")[0]
+    assert main(["--help"]) == 0
+    purpose, *groups = capsys.readouterr().out.split("\n\n")[1 : len(GROUPS) + 2]
+    filled = [f".PP\n.nf\n{group}\n.fi" for group in groups]
+    assert shown == "\n".join([f".PP\n{purpose}", *filled])
+    sections = ["NAME", "SYNOPSIS", "DESCRIPTION", "OPTIONS", "COMMANDS", "EXIT STATUS"]
+    assert re.findall(r"^\.SH (.*)", page, re.MULTILINE) == sections
+    assert plain.split(".SH EXIT STATUS\n")[1].startswith("Exit codes: 0 done, 1 the run failed")
     assert not re.search(r"^'|^\.(?!TH|SH|SS|TP|PP|nf|fi|B|RI)", page, re.MULTILINE)
