@@ -8,10 +8,7 @@ import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    pass
+from typing import Any
 
 LINE_WIDTH = 80  # Number of letters that fit on every terminal.
 GAP = 2  # Number of letters between the columns of a table.
@@ -42,10 +39,10 @@ def _wrap_cells(rows: Sequence[Sequence[str]], widths: list[int]) -> list[str]:
     # A word, such as a path to copy, stays whole, even if the line becomes longer.
     longest = [max(map(len, " ".join(column).split(" "))) for column in zip(*rows, strict=True)]
     while sum(widths) + GAP * (len(widths) - 1) > line_width():
-        widest = widths.index(max(widths))
-        if widths[widest] == longest[widest]:
+        wide = [place for place, width in enumerate(widths) if width > longest[place]]
+        if not wide:
             break
-        widths[widest] -= 1
+        widths[max(wide, key=widths.__getitem__)] -= 1
     lines = []
     for row in rows:
         cells = (
@@ -95,6 +92,8 @@ def duration(seconds: float, missing: str = "-") -> str:
     """
     if not math.isfinite(seconds):
         return missing
+    # The unit belongs to the rounded time: 0.9996 s is 1 s, not 1e+03 ms.
+    seconds = float(f"{seconds:.3g}")
     factor, unit = (1, "s") if seconds >= 1 else (1e3, "ms") if seconds >= 1e-3 else (1e6, "us")
     return f"{factor * seconds:.3g} {unit}"
 

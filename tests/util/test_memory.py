@@ -9,7 +9,6 @@ import pytest
 import tomli_w
 from helpers.command_output import SCENE
 
-from lmpchain.cli.command_line import main
 from lmpchain.util.memory import free_memory, memory_limit
 
 
@@ -22,15 +21,6 @@ def test_a_limit_ends_with_its_block():
             bytearray(2**27)
     assert resource.getrlimit(resource.RLIMIT_AS) == before
     assert free_memory() > 2**26
-
-
-def test_a_command_reports_exhausted_memory_in_one_line(monkeypatch, capsys):
-    def run_out(_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr("lmpchain.scene.scene.Scene.from_toml", run_out)
-    assert main(["run", "scene.toml"]) == 1
-    assert capsys.readouterr().err.startswith("error: memory ran out: ")
 
 
 @pytest.mark.slow

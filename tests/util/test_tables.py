@@ -36,8 +36,8 @@ def test_cells_are_wrapped_within_their_columns():
 
 def test_words_for_numbers_and_durations():
     """Numbers and their units, or words in place of both."""
-    assert [tables.duration(x) for x in (1.0, 0.9994, 1e-3, 9.994e-4)] == [
-        "1 s", "999 ms", "1 ms", "999 us",
+    assert [tables.duration(x) for x in (1.0, 0.9996, 0.9994, 1e-3, 9.996e-4, 9.994e-4)] == [
+        "1 s", "1 s", "999 ms", "1 ms", "1 ms", "999 us",
     ]  # fmt: skip
     assert [tables.duration(float(x), "?") for x in ("nan", "inf")] == ["?", "?"]
     assert [tables.number(float(x), ".1f", "m") for x in ("nan", "-inf", "2.04")] == [
@@ -63,6 +63,10 @@ def test_a_path_is_not_broken():
     path = "/scratch" + "/a_folder" * 12
     lines = tables.align([("file", f"written: {path}"), ("scene", "a chain of " + "grains " * 20)])
     assert any(path in line for line in lines)
+    # Another column is wrapped beside a path that is wider than all other cells.
+    (first, *rest) = tables.align([(path, "words " * 15), ("b", "word " * 15)])
+    assert first == f"{path}  words"
+    assert [line.split() for line in rest] == [["words"]] * 14 + [["b", "word"]] + [["word"]] * 14
 
 
 def test_markup_letters_are_printed_unchanged():
