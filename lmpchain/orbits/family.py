@@ -292,8 +292,11 @@ class Family(Shown, Tabular):
             "viscoelastic": "s",
             "top_load": "N",
             "gravity": "m/s²",
+            "masses": "kg",
+            "diameter": "m",
         }
-        return units.get(self.parameter.rpartition(".")[2], "")
+        # An element of an array, such as drag[2], has the unit of the array.
+        return units.get(self.parameter.rpartition(".")[2].partition("[")[0], "")
 
     def _bands(self) -> Array:
         """Return the bands of the linearised chain, (B, 2) Hz.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lmpchain import Chain
+from lmpchain import Chain, Drive, Force
 from lmpchain.errors import InputError
 from lmpchain.orbits.family import Event, Family
 from lmpchain.util.plotting import COLOURS
@@ -17,6 +17,8 @@ DIMER = Chain(grains=8, masses=np.resize([3e-3, 1e-3], 8), **LOADED)
 # The values have the rounding of 1 / period.
 FREQUENCY = 1 / (1 / np.array([2000.0, 1900.0, 1800.0, 1850.0, 1700.0]))
 ENERGY = np.array([1e-6, 2e-6, 4e-6, 6e-6, 8e-6])
+SHAKER = Drive(amplitude=1e-9, frequency=1e3)
+PUSH = Force(amplitude=1e-3, frequency=1e3, grain=2)
 STABLE = np.array([True, True, False, False, True])
 
 
@@ -189,6 +191,79 @@ def test_the_numbers_of_a_family_are_written_with_its_last_orbit():
         ],
         "orbit": {"frequency": FREQUENCY[-1]},
     }
+
+
+def driven(parameter: str, drive: Drive | Force, low: float) -> Family:
+    """Return a family of driven orbits whose responses begin at `low` and end at 100."""
+    orbits = [
+        SimpleNamespace(
+            chain=DIMER.replace(damping={"drag": 10.0}),
+            drive=drive.replace(frequency=f),
+            period=2 / f,
+            energy=e,
+            stable=True,
+            response=lambda of, size=size: size * (2 if of == "force:3" else 1),
+        )
+        for f, e, size in zip(FREQUENCY, ENERGY, np.geomspace(low, 100.0, 5), strict=True)
+    ]
+    sequence: tuple[Any, ...] = tuple(orbits)
+    return Family(sequence, 3 * ENERGY, parameter, (), True)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "drive", "unit", "label"),
+    [
+        ("drive.frequency", SHAKER, "Hz", "frequency of the drive"),
+        ("drive.amplitude", SHAKER, "m", "amplitude of the drive"),
+        ("amplitude", PUSH, "N", "amplitude"),
+        ("damping.drag[2]", PUSH, "1/s", "damping.drag[2]"),
+        ("damping.viscoelastic", PUSH, "s", "damping.viscoelastic"),
+        ("chain.top_load", SHAKER, "N", "chain.top_load"),
+        ("gravity", SHAKER, "m/s²", "gravity"),
+        ("masses[7]", SHAKER, "kg", "masses[7]"),
+        ("diameter[1]", SHAKER, "m", "diameter[1]"),
+        ("exponent", SHAKER, "", "exponent"),
+    ],
+)
+def test_a_response_is_drawn_over_the_parameter_in_its_unit(
+    parameter: str, drive: Drive | Force, unit: str, label: str
+):
+    header = f"{parameter} [{unit}]" if unit else parameter
+    by_frequency = parameter == "drive.frequency"
+    sizes = np.geomspace(1.9, 100.0, 5)
+    whole = driven(parameter, drive, 1.9)
+    frame = whole.to_dataframe()
+    columns = {header: 3 * ENERGY, "period [s]": 2 / FREQUENCY, "energy [J]": ENERGY}
+    columns |= {"amplitude [m]": sizes, "stable": np.full(5, True)}
+    assert list(frame.columns) == list(columns)
+    for name, values in columns.items():
+        np.testing.assert_array_equal(frame[name], values)
+    ax = whole.plot()
+    (line,) = ax.lines
+    np.testing.assert_array_equal(line.get_xdata(), FREQUENCY if by_frequency else 3 * ENERGY)
+    np.testing.assert_array_equal(line.get_ydata(), sizes)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (label, "largest displacement")
+    # A resonance curve over a wide range has a logarithmic axis.
+    assert ax.get_yscale() == ("log" if by_frequency else "linear")
+    assert ax.yaxis.get_major_formatter()(2.0) == "2 m"
+    assert not unit or ax.xaxis.get_major_formatter()(2.0) == f"2 {unit}"
+    # Bands are those of the chain without damping, and have frequencies.
+    assert len(ax.patches) == (2 if by_frequency else 0)
+
+
+def test_a_narrow_resonance_curve_of_a_force_has_a_linear_axis():
+    whole = driven("period", SHAKER, 2.1)
+    for of, name, unit in (
+        ("force:3", "force of contact 3, half of its range", "N"),
+        ("displacement:3", "displacement of grain 3, half of its range", "m"),
+    ):
+        ax = whole.plot(of=of)
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency of the drive", name)
+        assert (ax.get_yscale(), ax.get_ylim()[0]) == ("linear", 0.0)
+        assert ax.yaxis.get_major_formatter()(2.0) == f"2 {unit}"
+        np.testing.assert_array_equal(ax.lines[0].get_xdata(), FREQUENCY)
+        factor = 2 if of == "force:3" else 1
+        np.testing.assert_array_equal(ax.lines[0].get_ydata(), factor * np.geomspace(2.1, 100.0, 5))
 
 
 def turned(places: tuple[int, ...], first: int, last: int) -> Family:
