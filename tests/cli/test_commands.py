@@ -794,6 +794,112 @@ def test_options_for_saved_runs_are_passed_on(
     assert json.loads(numbers.read_text()) == {"chains": 0}
 
 
+# Function, command line, positional arguments after the scene (S), and keywords.
+QUIET = {"progress": False}
+AVERAGES = "lmpchain.simulation.time_averages.averages"
+DECK = "lmpchain.engines.lammps.export.write_deck"
+CALLS: list[tuple[str, str, list[Any], dict[str, Any]]] = [
+    (
+        DECK,
+        "deck s.toml -o deck --step 1e-8 --diameter gauge --integrator kahan-li6 --force "
+        "--pair-style gran/hertz/history --template a --include b --tolerance 1e-3",
+        ["S", Path("deck")],
+        {
+            "step": 1e-8, "diameter": "gauge", "integrator": "kahan-li6", "overwrite": True,
+            "pair_style": "gran/hertz/history", "template": "a", "include": "b", "tolerance": 1e-3,
+        },
+    ),
+    (
+        DECK,
+        "deck s.toml -o deck",
+        ["S", Path("deck")],
+        {
+            "step": None, "diameter": "physical", "integrator": "verlet", "overwrite": False,
+            "pair_style": "granular", "template": None, "include": None, "tolerance": 1e-6,
+        },
+    ),
+    (
+        AVERAGES,
+        "averages s.toml --of b --time 2 --warm-up 0.5 --copies 3 --energy-tolerance 1e-3",
+        ["S", ["b"]],
+        {"time": 2.0, "warm_up": 0.5, "copies": 3, "tolerance": 1e-3} | QUIET,
+    ),
+    (
+        AVERAGES,
+        "averages s.toml --of b",
+        ["S", ["b"]],
+        {"time": None, "warm_up": None, "copies": 1, "tolerance": 1e-4} | QUIET,
+    ),
+    (
+        "lmpchain.benchmark.own_run.check",
+        "check run.dump --units real --scene s.toml",
+        ["run.dump", "S"],
+        {"units": "real"} | QUIET,
+    ),
+    ("lmpchain.benchmark.own_run.check", "check a.nc", ["a.nc", None], {"units": None} | QUIET),
+    ("lmpchain.benchmark.own_run.check_deck", "check --deck d", ["d", None], QUIET),
+    (
+        "lmpchain.report.exploration.explore",
+        "explore s.toml --over chain.gravity=1:9:2 --over chain.grains=3:5:3 -o page.html",
+        [
+            {
+                "scene": "s.toml",
+                "over": {"chain.gravity": [1, 9], "chain.grains": [3, 4, 5]},
+                "tolerance": 1e-6,
+            },
+            Path("page.html"),
+        ],
+        {"overwrite": True} | QUIET,
+    ),
+    (
+        "lmpchain.simulation.planner.plan",
+        "plan s.toml --engine lammps --tolerance 1e-9",
+        ["S", 1e-9, "lammps"],
+        {},
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "line", "values", "named"), CALLS)
+def test_a_command_passes_on_its_options(
+    name: str,
+    line: str,
+    values: list[Any],
+    named: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: Any,
+    capsys: Any,
+):
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(SCENE)
+    asked: list[Any] = []
+    result = SimpleNamespace(table=lambda: "the table")
+
+    def called(*given: Any, **keywords: Any) -> Any:
+        asked.extend([*given, keywords])
+        Path("page.html").write_text("x" * 1234)
+        return result
+
+    monkeypatch.setattr(name, called)
+    assert main(line.split()) == 0
+    scene = Scene.from_toml("s.toml")
+    assert asked == [*(scene if value == "S" else value for value in values), named]
+    assert capsys.readouterr().out == {
+        "deck": "wrote deck/in.column and deck/column.data; to run them:\n"
+        "  cd deck && lmp -in in.column\n",
+        "explore": "page: page.html (6 runs, 0.0012 MB)\n",
+    }.get(line.split()[0], "the table\n")
+
+
+def test_a_check_compares_with_its_tolerance(scene: Path, monkeypatch: Any, capsys: Any):
+    result = SimpleNamespace(table=lambda: "the table", exceeds=lambda tolerance: tolerance < 1e-3)
+    monkeypatch.setattr("lmpchain.benchmark.own_run.check", lambda *_, **__: result)
+    for words, code in (([], 0), (["--tolerance", "1e-3"], 0), (["--tolerance", "9e-4"], 1)):
+        assert main(["check", "run.nc", *words]) == code
+    assert main(["check", "run.nc", "--tolerance", "0"]) == 2
+    assert capsys.readouterr().err.startswith("error: tolerance: ")
+
+
 def test_a_slider_is_read_from_its_range_number_and_scale():
     assert read_axis("chain.grains=10:40:4") == ("chain.grains", [10, 20, 30, 40])
     _, values = read_axis("chain.gravity=1.62:9.81")
@@ -842,7 +948,27 @@ def test_files_and_grains_that_do_not_fit_a_command_are_rejected(
         ("fit", run, "--axis", "x"): "axis: is only for a LAMMPS dump and its scene",
         ("fit", run, "--units", "si"): "units: is only for a LAMMPS dump and its scene",
         ("report", f"{run}x", "--scene", str(scene)): f"error: {run}x: ",
-        ("sensitivity", dump, "--of", "momentum:3"): f"error: {dump}: ",
+        ("sensitivity", dump, "--of", "momentum:3"): (
+            f"error: {dump}: is a LAMMPS dump: give its scene, SCENE.toml, in its place"
+        ),
+        ("plan",): "scene: is missing; name a scene file, or use --calibrate alone",
+        ("plan", "--calibrate", "--json"): "json: needs a scene file: name one",
+        ("plan", str(scene), "--json", str(scene)): "is the input file: name another file",
+        ("compare", str(scene), "-o", "-", "--json"): "-: names standard output twice",
+        ("new", f"{run}.toml", "--from", dump, "--example", "dimer"): (
+            "example: cannot be combined with --from: leave one of them out"
+        ),
+        ("new", f"{run}.toml", "--young", "1", "--units", "si"): (
+            "young: is only for --from: leave it out error: units: is only for --from: leave it out"
+        ),
+        ("explore", str(scene), "-o", f"{run}.html", "--over", "a.b=1:2", "--over", "a.b=3:4"): (
+            "a.b: has two sliders: name each key once"
+        ),
+        ("explore", str(scene), "-o", f"{run}.txt", "--over", "a", "--over", "b=2:1"): (
+            f"{run}.txt: must end in .html or .htm error: over: must be KEY=LOW:HIGH"
+        ),
+        ("report", run, "-o", f"{run}.txt"): "must end in .html or .htm",
+        ("export", run, "-o", f"{run}.png"): "must end in .csv or .txt",
         ("check",): "run: give either a dump or saved run, or --deck FOLDER",
         ("check", run, "--deck", str(tmp_path)): "run: give either a dump or saved run",
         ("check", "--deck", str(tmp_path), "--units", "si"): "units: is only for a LAMMPS dump",
