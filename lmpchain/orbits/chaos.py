@@ -136,7 +136,8 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
     Raises
     ------
     InputError
-        If the scene is damped, driven or at rest, flies apart, or needs more than 2e7 steps.
+        If the scene is damped, driven or at rest, has a force from the ground, flies apart, or
+        needs more than 2e7 steps.
     RunFailed
         If the motion or a deviation becomes infinite.
 

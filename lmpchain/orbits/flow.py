@@ -63,8 +63,8 @@ class Flow:
     Raises
     ------
     InputError
-        If the chain flies apart, or is damped without a drive, or if the drive is not harmonic or
-        does not suit the chain.
+        If the chain flies apart, has a force from the ground, or is damped without a drive, or if
+        the drive is not harmonic or does not suit the chain.
     """
 
     chain: Chain
@@ -75,6 +75,8 @@ class Flow:
     def __post_init__(self) -> None:
         chain = self.chain
         drive = self.drive
+        # The compiled loop has no force from the ground.
+        chain.refuse_ground("an orbit or its tangent map")
         if drive is not None:
             check_sine(drive)
             if faults := list(drive.faults(chain, 1.0)):

@@ -79,7 +79,6 @@ def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = Fals
     >>> orbit.residual < 1e-12, orbit.error < 1e-11
     (True, True)
     """
-    chain.refuse_ground("the search for orbits")
     family = mode_family(chain, mode, energy, events=False, progress=progress)
     if not family.reached:
         raise RunFailed(f"the family of mode {mode} does not reach {energy:g} J: {family.ended}")
@@ -108,7 +107,6 @@ def mode_family(
     InputError
         If the mode does not exist, no contact is compressed, or the energy is not above 0.
     """
-    chain.refuse_ground("the search for orbits")
     check_positive("energy", energy)
     displacement, period = linear_mode(chain, mode, ORBIT_LIMITS.strain)
     # A slow mode becomes nearly resonant with its harmonics at smaller amplitudes.
@@ -157,7 +155,6 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     >>> int(np.abs(orbit.displacement).argmax()) + 1, orbit.residual < 1e-12
     (6, True)
     """
-    chain.refuse_ground("the search for orbits")
     check_positive("period", period)
     check_number("grain", grain, chain.movable)
     mass = chain.masses[grain - 1]

@@ -79,7 +79,6 @@ def find(
     >>> orbit.residual < 1e-12, orbit.stable, f"{orbit.displacement[0] / chain.length_scale:.3f}"
     (True, True, '0.613')
     """
-    chain.refuse_ground("the search for orbits")
     if isinstance(guess, Orbit):
         period = period or guess.period
         guess = (guess.displacement, guess.velocity)

@@ -8,7 +8,7 @@ from helpers.example_scenes import stirred, struck
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from lmpchain import Chain, Damping, Drive, InputError, Profile, Scene, laws
+from lmpchain import Chain, Damping, Drive, InputError, Law, Profile, Scene, laws
 from lmpchain.orbits import Chaos, chaos_of
 from lmpchain.orbits import chaos as chaos_module
 
@@ -215,6 +215,8 @@ def test_pictures_tables_and_refusals() -> None:
         chaos_of(scene.replace(excitation=Drive(amplitude=1e-9, frequency=1e3)))
     with pytest.raises(InputError, match="does not move the chain"):
         chaos_of(struck(chain, 0.0, 1e-3))
+    with pytest.raises(InputError, match=r"^chain\.ground: an orbit or its tangent map does not"):
+        chaos_of(scene.replace(chain=chain.replace(ground=Law("k*u", k=1.0))))
     with pytest.raises(InputError, match="damping"):
         chaos_of(scene.replace(chain=chain.replace(damping=Damping(drag=1.0))))
     for count in (1, 11, 2.5):

@@ -287,6 +287,8 @@ def test_impossible_orbits_are_rejected_in_one_line():
     small = orbits.normal_mode(chain, 1, 1e-20)
     free, loaded = (column(5, gravity=0.0, top_load=load) for load in (0.0, 1.0))
     long = Profile(displacement=np.ones(6))
+    ground = chain.replace(ground=Law("k*u", k=1.0))
+    push = np.array([1e-9, 0, 0, 0, 0])
     burst = Drive(times=[0, 1], displacement=[0, 1e-9])
     other = Drive(amplitude=1e-9, frequency=1.5e4)
     wrong = {
@@ -304,6 +306,12 @@ def test_impossible_orbits_are_rejected_in_one_line():
         "period: must be between": lambda: orbits.breather(dimer(), 22, 1e-3),
         "parameter: must be energy, period": lambda: orbits.follow(small, "colour", 1.0),
         "until: must be above 0": lambda: orbits.follow(small, "energy", -1.0),
+        "chain.ground: the search": lambda: orbits.linear_mode(ground, 1),
+        "chain.ground: the search for": lambda: orbits.normal_mode(ground, 1, 1e-9),
+        "chain.ground: an orbit or its tangent map": lambda: at_rest(ground, push, 1e-4),
+        "chain.ground: an orbit or": lambda: orbits.follow(
+            small, lambda k: chain.replace(ground=Law("k*u", k=k)), 1.0, start=0.0
+        ),
         "number: the orbit is stable": lambda: small.direction(),
     }
     for message, call in wrong.items():
