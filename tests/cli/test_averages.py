@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from matplotlib import image
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.cli.command_line import main
@@ -33,7 +34,10 @@ def test_averages(scene: Path, capsys: pytest.CaptureFixture):
     assert low < 5 / 9 * energy < high
     assert written["quantities"]["force:3"]["unit"] == "N"
     assert written["time_s"] == pytest.approx(0.02, rel=0.01)
-    assert picture.read_bytes()[:4] == b"\x89PNG"
+    # A panel of each quantity is 3 inches high, at 150 dots per inch.
+    assert image.imread(picture).shape[:2] == (900, 1050)
+    said = shown.splitlines()
+    assert said[-2:] == [f"numbers: {numbers}", f"picture: {picture}"]
 
 
 def test_wrong_quantities_are_reported_in_one_line(scene: Path, capsys: pytest.CaptureFixture):

@@ -36,9 +36,11 @@ from lmpchain.cli import command_line, common, compare, new, orbit
 from lmpchain.cli.command_line import main
 from lmpchain.cli.read import read_axis
 from lmpchain.cli.verbs import VERBS
+from lmpchain.report.document import origin
 from lmpchain.simulation.run_folder import Stopped
 from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util import mpi
+from lmpchain.util.plotting import figure
 
 
 @pytest.fixture
@@ -218,6 +220,33 @@ def test_an_error_during_a_command_has_its_message_and_code(
     else:
         assert main(["plan", str(scene)]) == code
         assert capsys.readouterr().err.startswith(f"error: {said}")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (None, 0, ""),
+        (OSError(28, "No space left"), 1, "error: [Errno 28] No space left\n"),
+        (BrokenPipeError(), 141, ""),
+    ],
+)
+def test_buffered_output_is_flushed_before_the_end(
+    error: Exception | None, code: int, said: str, monkeypatch: Any
+):
+    """A fault of the disk or of the reader is found while the command can still report it."""
+
+    class Output(io.StringIO):
+        def flush(self) -> None:
+            if error:
+                raise error
+
+    beside = io.StringIO()
+    for stream in (Output(), None):
+        monkeypatch.setattr(sys, "stdout", stream)
+        monkeypatch.setattr(sys, "stderr", beside)
+        # A stream that was closed before the start is None.
+        assert main(["--version"]) == (code if stream else 0)
+    assert beside.getvalue() == said
 
 
 def test_a_stopped_run_folder_names_the_resume_command(scene: Path, monkeypatch: Any, capsys: Any):
@@ -485,8 +514,6 @@ def test_charts_report_omissions_and_their_location(
     verb: str, scene: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
     asked: list[Any] = []
-    from lmpchain.util.plotting import figure
-
     result = SimpleNamespace(
         table=lambda: "the table",
         left_out=["lammps: not here"],
@@ -739,7 +766,11 @@ def test_nan_and_infinity_become_null_in_json(tmp_path: Path):
 
 def test_options_of_a_sensitivity_are_passed_on(scene: Path, monkeypatch: Any, capsys: Any):
     asked: list[Any] = []
-    result = SimpleNamespace(table=lambda: "the table")
+    result = SimpleNamespace(
+        table=lambda: "the table",
+        to_json=lambda: {"rank": 1},
+        plot=lambda: figure(2.0, 1.0).subplots(),
+    )
     monkeypatch.setattr(
         "lmpchain.design.sensitivities.sensitivity", lambda *values: asked.extend(values) or result
     )
@@ -753,8 +784,13 @@ def test_options_of_a_sensitivity_are_passed_on(scene: Path, monkeypatch: Any, c
         "--sigma-constant",
         "0",
     ]
-    assert main(words) == 0
-    assert capsys.readouterr().out == "the table\n"
+    numbers = scene.parent / "n.json"
+    picture = scene.parent / "p.png"
+    assert main([*words, "--json", str(numbers), "-o", str(picture)]) == 0
+    told = f"the table\nnumbers: {numbers}\npicture: {picture}\n"
+    assert capsys.readouterr().out == told
+    assert json.loads(numbers.read_text()) == {"rank": 1}
+    assert picture.read_bytes().startswith(b"\x89PNG")
     assert asked == [
         Scene.from_toml(scene),
         "momentum:3",
@@ -792,6 +828,21 @@ def test_options_for_saved_runs_are_passed_on(
     assert main(["fit", str(file), "--json", str(numbers)]) == 0
     assert capsys.readouterr().out == f"the table of 0 chains\nnumbers: {numbers}\n"
     assert json.loads(numbers.read_text()) == {"chains": 0}
+    pages: list[Any] = []
+    monkeypatch.setattr(
+        "lmpchain.report.write", lambda *given, **named: pages.append((given, named))
+    )
+    assert main(["report", str(file)]) == 0
+    page = file.with_suffix(".html")
+    named = {"progress": False, "origin": origin(file), "overwrite": True}
+    assert pages == [((answer, page), named)]
+    assert capsys.readouterr().out == f"page: {page}\n"
+    # A run that has just started has one sample.
+    for samples, code in ((1, 2), (2, 0)):
+        short = SimpleNamespace(time=answer.time[:samples])
+        monkeypatch.setattr(Trajectory, "load", lambda _, short=short: short)
+        assert main(["fit", str(file)]) == code
+    assert "has too few samples so far" in capsys.readouterr().err
 
 
 # Function, command line, positional arguments after the scene (S), and keywords.

@@ -1,6 +1,8 @@
 """The command `new`: example scenes that agree with their comments."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import lmpchain
 from lmpchain import Scene, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.cli.new import EXAMPLES
+from lmpchain.scene.lammps_column import RunOptions
 
 README = Path(__file__).parents[2] / "README.md"
 each_example = pytest.mark.parametrize("example", EXAMPLES)
@@ -82,6 +85,60 @@ def test_comments_name_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     said = capsys.readouterr().out
     assert said.startswith("scene: my balls.toml (glass beads under gravity")
     assert "lmpchain run 'my balls.toml'" in said
+
+
+@pytest.mark.parametrize(
+    ("files", "options", "units", "following"),
+    [
+        (["in.own"], [], None, ["next: lmpchain run '{}'"]),
+        (
+            ["in.own", "own dump"],
+            ["--young", "1e9", "--samples", "7", "--grain-diameter", "2e-3"],
+            "real",
+            [
+                "next: lmpchain check 'own dump' --scene '{}' --units real",
+                "      lmpchain run '{}'",
+            ],
+        ),
+        (
+            ["own dump"],
+            ["--units", "si"],
+            "si",
+            ["next: lmpchain check 'own dump' --scene '{}'", "      lmpchain run '{}'"],
+        ),
+    ],
+)
+def test_a_scene_of_a_run_is_written_with_the_next_commands(
+    files: list[str],
+    options: list[str],
+    units: str | None,
+    following: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.chdir(tmp_path)
+    Path("own dump").write_text("ITEM: TIMESTEP\n0\n")
+    Path("in.own").write_text("units real\n")
+    chain = lmpchain.Chain(grains=3, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=1e-6)
+    asked: list[Any] = []
+    facts = [("column", "3 grains"), ("load", "none")]
+    found = SimpleNamespace(fields=scene.given(), facts=facts, units=units)
+    monkeypatch.setattr(
+        "lmpchain.trajectory.lammps_dump.scene_of_run", lambda *given: asked.extend(given) or found
+    )
+    name = "my own.toml"
+    assert main(["new", name, "--from", *files, *options]) == 0
+    said = ["column: 3 grains", "load: none", f"scene: {name}"]
+    assert capsys.readouterr().out.splitlines() == [
+        *said,
+        *(line.format(name) for line in following),
+    ]
+    assert Scene.from_toml(name) == scene
+    given = dict(zip(options[::2], options[1::2], strict=True))
+    expected = {"young": 1e9, "samples": 7, "diameter": 2e-3} if "--young" in given else {}
+    assert asked == [files, RunOptions(**expected), given.get("--units")]
 
 
 def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -9,7 +9,7 @@ from lmpchain import Chain, Drive, Impulse, Scene, orbits
 from lmpchain.cli.command_line import main
 
 
-def test_orbit(tmp_path: Path):
+def test_orbit(tmp_path: Path, capsys: pytest.CaptureFixture):
     chain = Chain(grains=6, diameter=1e-3)
     scene = tmp_path / "scene.toml"
     energy = 1e-2 * chain.length_scale * chain.masses[0] * 9.81
@@ -36,6 +36,8 @@ def test_orbit(tmp_path: Path):
     assert found["orbit"]["period_s"] == pytest.approx(own.period, rel=1e-10)
     assert found["energy_J"][-1] == pytest.approx(energy, rel=1e-10)
     assert found["parameter"] == "energy"
+    said = capsys.readouterr().out.splitlines()
+    assert said[-2:] == [f"numbers: {numbers}", f"picture: {picture}"]
 
 
 def test_an_unknown_mode_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture):
