@@ -38,11 +38,15 @@ def _wrap_cells(rows: Sequence[Sequence[str]], widths: list[int]) -> list[str]:
     """Return a table whose widest columns are narrowed until it fits; words are not broken."""
     # A word, such as a path to copy, stays whole, even if the line becomes longer.
     longest = [max(map(len, " ".join(column).split(" "))) for column in zip(*rows, strict=True)]
-    while sum(widths) + GAP * (len(widths) - 1) > line_width():
-        wide = [place for place, width in enumerate(widths) if width > longest[place]]
-        if not wide:
+    space = line_width() - GAP * (len(widths) - 1)
+    # Columns of names stay whole if a long word makes the line too long in any case.
+    fits = sum(longest) <= space
+    while sum(widths) > space:
+        places = [n for n, width in enumerate(widths) if width > longest[n] or not fits]
+        widest = max(places, key=widths.__getitem__)
+        if widths[widest] == longest[widest]:
             break
-        widths[max(wide, key=widths.__getitem__)] -= 1
+        widths[widest] -= 1
     lines = []
     for row in rows:
         cells = (

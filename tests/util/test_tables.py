@@ -63,10 +63,13 @@ def test_a_path_is_not_broken():
     path = "/scratch" + "/a_folder" * 12
     lines = tables.align([("file", f"written: {path}"), ("scene", "a chain of " + "grains " * 20)])
     assert any(path in line for line in lines)
-    # Another column is wrapped beside a path that is wider than all other cells.
-    (first, *rest) = tables.align([(path, "words " * 15), ("b", "word " * 15)])
-    assert first == f"{path}  words"
-    assert [line.split() for line in rest] == [["words"]] * 14 + [["b", "word"]] + [["word"]] * 14
+    # Another column is wrapped beside a path that is wider than all other cells, if it then fits.
+    short = path[:53]
+    lines = tables.align([(short, "words " * 9), ("b", "word " * 9)])
+    words = [("words", 4), ("words", 4), ("words", 1), ("word", 5), ("word", 4)]
+    assert [line[55:].split() for line in lines] == [[word] * count for word, count in words]
+    assert [line[:55].strip() for line in lines] == [short, "", "", "b", ""]
+    assert tables.align([(path, "two words")]) == [f"{path}  two words"]
 
 
 def test_markup_letters_are_printed_unchanged():
