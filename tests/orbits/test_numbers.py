@@ -157,6 +157,11 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
     sine = Drive(amplitude=1e-9, frequency=2e4)
     rest = np.zeros(4)
     u = 0.1 * CHAIN.length_scale * np.array([1, 0, 0, 0])
+
+    def heavy(grain: int) -> Chain:
+        masses = np.where(np.arange(1, 5) == grain, 3e-6, 1e-6)
+        return loaded.replace(masses=masses, top="wall", bottom="wall")
+
     vacuum = loaded.replace(top_load=0.0, top="wall", bottom="wall")
     for message, call in {
         "energy: is not conserved in a driven":
@@ -176,6 +181,11 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
         "grain: must be a whole number from 1 to 3 (got True)":
             lambda: orbits.breather(loaded, True, 1e-5),
         "grain: 1 has no heavier": lambda: orbits.breather(loaded, 1, 1e-5),
+        # Each of the two neighbours may be the heavier one, but no other grain.
+        "period: must be between": lambda: orbits.breather(heavy(1), 2, 1.0),
+        "period: must be betwee": lambda: orbits.breather(heavy(3), 2, 1.0),
+        "grain: 3 has no heavier": lambda: orbits.breather(heavy(1), 3, 1.0),
+        "grain: 1 has no heavier neighbour": lambda: orbits.breather(heavy(3), 1, 1.0),
         "chain: must be compressed": lambda: orbits.breather(CHAIN, 1, 1e-5),
         "chain: must be compressed by": lambda: orbits.breather(vacuum, 1, 1e-5),
         "until: must be a number": lambda: orbits.follow(orbit(), "energy", True),
