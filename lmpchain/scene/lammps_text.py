@@ -52,11 +52,14 @@ class Variables:
         Text of every variable by name; None if its value is known only during a run.
     indices : dict
         Text of the variables of style index, which the command line of LAMMPS can set.
+    formulas : set
+        Names of the variables of style equal; other variables are words.
     """
 
     def __init__(self) -> None:
         self.values: dict[str, str | None] = {}
         self.indices: dict[str, str] = {}
+        self.formulas: set[str] = set()
         self.evaluations = 0
 
     def define(self, line: InputLine) -> None:
@@ -70,6 +73,7 @@ class Variables:
         elif style != "index" or key not in self.values:
             try:
                 self.values[key] = self.word(line, self.words(line), 3)
+                (self.formulas.add if style == "equal" else self.formulas.discard)(key)
                 if style == "index":
                     self.indices[key] = str(self.values[key])
             except InputError:
@@ -111,13 +115,9 @@ class Variables:
         text = self.values.get(key)
         if text is None:
             raise line.refuse(f"uses the variable {key}, whose value is not known without a run")
-        # Equal-style variables are evaluated; others are words.
-        try:
-            return text if LAMMPS_NUMBER.fullmatch(text) else f"{self._evaluate(text, line):.15g}"
-        except InputError:
-            if not re.fullmatch(r"[\w./-]+", text):
-                raise
+        if key not in self.formulas or LAMMPS_NUMBER.fullmatch(text):
             return text
+        return f"{self._evaluate(text, line):.15g}"
 
     def _evaluate(self, text: str, line: InputLine, depth: int = 0) -> float:
         """Return the value of an arithmetic expression of numbers and variables."""
@@ -128,6 +128,8 @@ class Variables:
             inner = self.values.get(key)
             if inner is None:
                 raise line.refuse(f"uses the variable {key}, whose value is not known")
+            if key not in self.formulas and not LAMMPS_NUMBER.fullmatch(inner):
+                raise line.refuse(f"uses the variable {key}, which is not a number")
             values[f"v_{key}"] = self._evaluate(inner, line, depth + 1)
             self.evaluations += 1
             if self.evaluations > MOST_EVALUATIONS:

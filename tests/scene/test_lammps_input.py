@@ -634,6 +634,12 @@ CONTINUED = {
     "two indices": "variable v index 0.3 0.5\nvariable v index 0.4\nset atom 1 vx $v",
     "a new formula": 'variable v equal 0.3\nvariable v equal "1 + 2*(3 - 1)"\nset atom 1 vx $v',
     "a string": "variable v string 0.2\nset atom 1 vx ${v}",
+    "a sum of words": "variable a string 2+1\nvariable v equal ${a}*2\nset atom 1 vx $v",
+    "a formula in place of words": (
+        "variable a index 2+1\nvariable a delete\nvariable a equal 2+1\n"
+        "variable v equal v_a*$a*2\nset atom 1 vx $v"
+    ),
+    "words": 'variable a string "atom 1 vx"\nset $a 0.3',
     "a deleted index": (
         "variable v index 1\nvariable v delete\nvariable v index 9\nset atom 1 vx $v"
     ),
