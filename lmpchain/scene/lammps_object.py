@@ -113,12 +113,15 @@ def _held(lmp: Any, fixes: Sequence[_NamedFix], masks: np.ndarray) -> np.ndarray
     """Return a mask of grains that no fix moves, (N,) bool."""
     groups = lmp.available_ids("group")
     moving = np.zeros(len(masks), dtype=bool)
+    frozen = moving.copy()
     for fix in fixes:
-        bit = 1 << groups.index(fix.group)
+        among = (masks & (1 << groups.index(fix.group))) != 0
         if fix.style in MOVING:
-            moving |= (masks & bit) != 0
+            moving |= among
         elif fix.style == "freeze":
-            moving &= (masks & bit) == 0
+            frozen |= among
+    # Frozen grains have no force, in whatever order the fixes were defined.
+    moving &= ~frozen
     if not moving.any():
         raise InputError.at(ARGUMENT, "has no fix nve or nve/sphere: nothing moves")
     return ~moving

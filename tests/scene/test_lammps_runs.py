@@ -273,8 +273,9 @@ def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
 
 def test_an_instance_without_a_load_fix_has_no_load():
     text = before_the_run(LEVEL).replace("id 1 12", "id 12")
-    # A frozen grain is held, although it belongs to the group that moves.
-    text = text.replace("fix             1 beads", "fix             1 all")
+    # A frozen grain is held, although it belongs to the group of the later fix that moves grains.
+    fixes = "fix             1 beads nve/sphere", "fix             2 ends freeze"
+    text = text.replace("\n".join(fixes), f"{fixes[1]}\n{fixes[0].replace('beads', 'all')}")
     with silent_lammps(text) as lmp:
         scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
         assert (scene.chain.top, scene.chain.top_load, scene.chain.gravity) == ("free", 0.0, 0.0)
