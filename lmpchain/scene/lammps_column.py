@@ -204,6 +204,8 @@ class RunColumn:
         volume = sphere_mass(1.0, grains.diameters)
         missing = np.isnan(grains.masses) | (grains.masses <= 0)
         if missing.any():
+            if options.material is not None:
+                self._refuse_given("follows from the material", "density")
             density = self.material.density if self.material else options.density
             if density is None:
                 raise InputError.at("mass", "is not in the run: give --material or --density")

@@ -120,7 +120,12 @@ def _misfits(
         return
     if excitation:
         duration = recording.duration if recording else 0.0
-        faults = list(excitation.faults(stand_in, duration))
+        # The cut-off frequency of a packet is not known without the chain itself.
+        faults = [
+            (key, text)
+            for key, text in excitation.faults(stand_in, duration)
+            if chain or key != "frequency"
+        ]
         if chain and not faults:
             facts = {"chain": chain, "excitation": excitation, "duration": duration}
             faults = list(make_unchecked(SceneFacts, **facts).strike_faults())
@@ -182,7 +187,10 @@ def _of_this_length(table: Any) -> Chain | None:
     """Return a valid chain of this length and ends, to check other tables with."""
     keys = table.keys() & {"grains", "top", "bottom"} if isinstance(table, dict) else ()
     try:
-        return Chain(**{key: table[key] for key in keys}, diameter=1e-3, gravity=0.0)
+        given = {key: table[key] for key in keys}
+        # A packet requires a load, which a chain with a free bottom cannot carry.
+        load = 0.0 if given.get("bottom") == "free" else 1.0
+        return Chain(**given, diameter=1e-3, gravity=0.0, top_load=load)
     except InputError:
         return None
 

@@ -221,6 +221,11 @@ def test_missing_information_is_requested(tmp_path: Path):
         (bare, RunOptions(material="steel"), "diameter: is not in the run: give --grain-diameter"),
         (
             bare,
+            RunOptions(material="steel", density=1.0, diameter=1e-2),
+            "density: follows from the material: leave it out",
+        ),
+        (
+            bare,
             RunOptions(young=1e9, poisson=0.3, diameter=1e-2),
             "density: is not in the run: give --density",
         ),

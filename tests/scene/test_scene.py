@@ -536,6 +536,13 @@ def test_a_faulty_chain_does_not_hide_other_faults(tmp_path: Path):
     )
     keys = fault_keys(Scene.from_toml, path)
     assert keys == ["chain.colour", "chain.bottom", "excitation.grain", "recording.grains"]
+    # A packet fits into a chain of this length; its cut-off frequency is not known.
+    packet = {"kind": "packet", "frequency": 1e9, "width": 2.0, "grain": 50, "amplitude": 1e-12}
+    chain = {"grains": 100, "diameter": -1e-3, "top_load": 1.0}
+    for width, found in ((2.0, []), (20.0, ["excitation.width"])):
+        tables = {"chain": chain, "excitation": packet | {"width": width}}
+        tables["recording"] = {"duration": 1e-4}
+        assert fault_keys(Scene.from_dict, tables) == ["chain.diameter", *found]
 
 
 @pytest.mark.parametrize(
