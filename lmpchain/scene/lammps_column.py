@@ -822,7 +822,7 @@ class RunColumn:
             self._refuse_given("is in the run", "timestep")
         if not (duration > 0 and math.isfinite(duration)):
             raise InputError.at("duration", "is not in the run: give --duration, in s")
-        samples = options.samples or grains.samples or 101
+        samples = (grains.samples or 101) if options.samples is None else options.samples
         self._say("recording", f"{samples} samples to {duration:.9g} s")
         return {"duration": duration, "samples": samples}
 

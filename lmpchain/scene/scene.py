@@ -224,13 +224,13 @@ class Scene(SceneFacts):
     def until(self, time: float) -> Self:
         """Return the scene up to the last sample before a time, s.
 
-        The whole scene is returned if it ends before this time, or if the last sample before this
-        time is its first or its last one.
+        The whole scene is returned if it ends before this time, if no sample is before this time,
+        or if the last sample before this time is its first or its last one.
         """
         if time > self.duration:
             return self
         last = int(np.searchsorted(self.time, time)) - 1
-        if last in (0, self.intervals):
+        if last <= 0 or last == self.intervals:
             return self
         return self.replace(duration=float(self.time[last]), samples=last + 1)
 

@@ -50,6 +50,20 @@ def test_times_and_phases_agree_with_their_definitions(name: str) -> None:
     assert scene.sampling_decay == pytest.approx(rate * 5e-5 / 14, rel=1e-14, abs=0)
 
 
+def test_a_scene_ends_at_its_last_sample_before_a_time() -> None:
+    scene = SCENES["struck"]
+    for share, samples in (
+        (-1.0, 8), (0.0, 8), (0.5, 8), (1.0, 8), (1.01, 2), (2.0, 2), (6.0, 6), (6.9, 7), (7.0, 7),
+        (7.1, 8), (np.inf, 8),
+    ):  # fmt: skip
+        # A sample at this very time is not before it.
+        exact = share in range(8)
+        part = scene.until(scene.time[int(share)] if exact else share * scene.sampling_interval)
+        assert part.samples == samples, share
+        assert part.time == pytest.approx(scene.time[:samples], rel=1e-14)
+        assert (part is scene) == (samples == 8)
+
+
 def test_kinks_are_those_of_the_force_within_the_run() -> None:
     assert SCENES["struck"].kinks == ()
     assert SCENES["struck"].kink_spacing == np.inf

@@ -979,9 +979,24 @@ def test_impossible_bonds_are_rejected(tmp_path: Path) -> None:
         (text.replace("bond_coeff 2 700.0 0.012", "bond_coeff 2 700.0"), "has no readable bond_co"),
         (text.replace("bond 3 4 3", "bond 3 4 9"), "names a grain that does not exist"),
         (text.replace("single/bond 3", "some 3"), "is not read: use many or single/bond"),
+        *(
+            (f"{text}create_bonds {words}\nrun 1\n", "is not read: use many or single/bond")
+            for words in ("many all all 1 0.009", "some all all 1 0.009 0.011", "single/bond 1 2")
+        ),
     ):
         with pytest.raises(InputError, match=message):
             read(tmp_path, changed)
+
+
+def test_a_formula_of_bonds_is_converted_from_the_units_of_the_input(tmp_path: Path):
+    """The energy k r^2 / 2 + a r^4 in erg, of r in cm, has the force k r + 4 a r^3 in dyn."""
+    chain = read(tmp_path, INPUTS["lepton"].replace(" si\n", " cgs\n")).fields["chain"]
+    overlap = np.array([1e-7, 1e-5, 1e-3])
+    r = overlap / 1e-2
+    force = chain.law.force(overlap, chain.contact_constants[0])
+    assert force == pytest.approx(1e-5 * (1e3 * r + 4e9 * r**3), rel=1e-12)
+    assert chain.masses == pytest.approx(1e-6, rel=1e-14)
+    assert chain.diameters == pytest.approx(1e-4, rel=1e-12)
 
 
 def test_bonds_need_neighbours_and_one_law(tmp_path: Path):

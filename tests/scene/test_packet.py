@@ -82,6 +82,24 @@ def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
     assert not u[~(np.abs(x) <= 9 * width)].any()
 
 
+def test_a_short_packet_moves_no_grain_beyond_its_ends() -> None:
+    """The strains of one wave have a sum, which is subtracted in the shape of the envelope."""
+    q, width = 0.3, 4.0
+    chain = uniform(460)
+    amplitude = 1e-6 * chain.length_scale
+    packet = packet_at(230, 2 / chain.time_scale * np.sin(q / 2), width, amplitude)
+    u, _ = packet.initial(chain)
+    x = np.arange(230 - 36, 230 + 36) + 0.5 - 230.0
+    envelope = np.exp(-(x**2) / (2 * width**2))
+    wave = envelope * np.cos(q * x)
+    mean = wave.sum() / envelope.sum()
+    assert mean > 0.4
+    strain = 2 * amplitude * np.sin(q / 2) * (wave - mean * envelope)
+    assert -np.diff(u[193:266]) == pytest.approx(strain, rel=0, abs=1e-11 * amplitude)
+    assert np.abs(u[:194]).max() < 1e-12 * amplitude
+    assert not u[265:].any()
+
+
 @pytest.mark.parametrize(("width", "most"), [(4.0, 3e-3), (8.0, 1e-9), (12.0, 1e-14)])
 def test_the_upward_part_is_negligible(width: float, most: float):
     """The upward part is the tail of exp(-(q width)^2 / 2) beyond q = 1."""

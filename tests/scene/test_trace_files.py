@@ -124,6 +124,11 @@ LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # Each layout contains the s
         '"HUnit","s"\n"TraceName","CH1"\n\n,0.5,\n,0.25,\n,0.75,\n,1,\n',
         {"scale": 1.0},
     ),
+    "Yokogawa, microseconds": (
+        '"Header Size","16"\n"VUnit","V"\n"HResolution","1.0"\n"HOffset","-1.0"\n'
+        '"HUnit","us"\n"TraceName","CH1"\n\n,0.5,\n,0.25,\n,0.75,\n,1,\n',
+        {"scale": 1.0},
+    ),
     "Polytec": (
         "Source File Name: a.pvd\nSignal: 1\nTime\tForce\n[ us ]\t[ kN ]\n"
         "-1\t0.5e-3\n0\t0.25e-3\n1\t0.75e-3\n2\t1e-3\n",

@@ -6,9 +6,11 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
+from helpers.faults import faults
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
+from lmpchain import Force
 from lmpchain.scene.waveform import Waveform
 
 AMPLITUDE = -2.5
@@ -151,7 +153,7 @@ def test_no_integral_exceeds_the_largest(cycles: float | None) -> None:
         assert wave.gained == pytest.approx(integral, rel=1e-3)
 
 
-@pytest.mark.parametrize("rate", [1e6, 5e6, 25e6])
+@pytest.mark.parametrize("rate", [1e6, 25e6])
 @pytest.mark.parametrize(("holds", "noise"), [(False, 0.0), (False, 1e-3), (True, 0.0)])
 def test_points_denser_than_the_motion_are_bounded_by_their_spectrum(
     rng: np.random.Generator, rate: float, holds: bool, noise: float
@@ -171,3 +173,32 @@ def test_points_denser_than_the_motion_are_bounded_by_their_spectrum(
     omega = 2 * np.pi * rate * np.arange(spectrum.size) / times.size
     rest = np.fft.irfft(spectrum * (omega > wave.fastest), times.size)
     assert np.abs(rest).max() < 5e-3 * np.abs(speed).max()
+
+
+@pytest.mark.parametrize("holds", [False, True])
+@pytest.mark.parametrize(("share", "counts"), [(0.0, False), (0.8e-3, False), (1.3e-3, True)])
+def test_fast_parts_count_from_a_thousandth_of_the_speed(
+    holds: bool, share: float, counts: bool
+) -> None:
+    """The limit of frequency is within an octave above the fastest sine that counts."""
+    slow, fast = 2 * np.pi * 5, 2 * np.pi * 160
+    times = np.linspace(0, 1, 16001)
+    # A free mass has the speed (1 - cos wt) / w under sin wt, so its largest speed is 2 / w.
+    size = share * (slow / fast if holds else 2 * fast / slow)
+    values = np.sin(slow * times) + size * np.sin(fast * times)
+    wave = Waveform.through(times, values, "spline", holds)
+    highest = fast if counts else slow
+    assert highest <= wave.fastest <= 2 * highest
+    assert wave.kink_spacing == pytest.approx(1 / 16000, rel=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_spline_may_leave_the_range_of_its_points_by_a_tenth(sign: float) -> None:
+    times = np.arange(4.0)
+    near, far = (sign * np.array([0.0, 1.0, third, 0.0]) for third in (0.93, 0.98))
+    for values, expected in ((near, 0.088), (far, 0.114)):
+        beyond = np.abs(CubicSpline(times, values)(np.linspace(0, 3, 3001))).max() - 1
+        assert beyond == pytest.approx(expected, abs=0.002)
+    Force(times=times, force=near, interpolation="spline")
+    ((key, _),) = faults(Force, times=times, force=far, interpolation="spline")
+    assert key == "interpolation"
