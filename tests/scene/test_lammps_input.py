@@ -152,6 +152,13 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
 }
 
 
+def test_grains_that_touch_between_held_ends_have_no_load(tmp_path: Path) -> None:
+    lines = f"{HELD_TOP}\nset atom 2 x 0.01\nset atom 3 x 0.02\ntimestep"
+    understood = read(tmp_path, START.replace("timestep", lines))
+    assert dict(understood.facts)["load"] == "none"
+    assert not understood.fields["chain"].contacts.force.any()
+
+
 @pytest.mark.parametrize("name", UNDERSTOOD)
 def test_forces_and_displacements_follow_from_the_lines(name: str, tmp_path: Path) -> None:
     """Forces at rest are those of the fixes, and displacements are overlaps beyond these forces."""

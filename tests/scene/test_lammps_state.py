@@ -181,7 +181,7 @@ def test_a_data_file_alone_is_a_scene_of_a_material(tmp_path: Path) -> None:
     assert dict(found.facts)["contacts"] == "Hertz, of E = 1e+09 Pa (given)"
     with pytest.raises(InputError, match="duration: is not in the run: give --duration"):
         understood(path, options._replace(duration=None))
-    with pytest.raises(InputError, match="^samples: must be at least 2"):
+    with pytest.raises(InputError, match=r"^samples: must be at least 2"):
         Scene(**understood(path, options._replace(samples=0)).fields)
     assert understood(path, options._replace(samples=None)).fields["samples"] == 101
 
