@@ -292,7 +292,9 @@ class RunColumn:
 
     def _among(self, fix: RunFix) -> np.ndarray:
         """Return a mask of the grains along the axis in the group of a fix, (N,) bool."""
-        return np.isin(self.grains.numbers[self.order], list(fix.members))
+        assert self.source is not None
+        members = self.source.members(fix.group, fix.line)
+        return np.isin(self.grains.numbers[self.order], list(members))
 
     def _number(self, fix: RunFix, place: int) -> float:
         assert self.source is not None

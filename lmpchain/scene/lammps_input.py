@@ -86,7 +86,6 @@ class LammpsInput:
         self.state = RunState()
         self.atom_style: list[str] = ["sphere"]
         self.text = Variables()
-        self.groups: dict[str, frozenset[int] | None] = {}
         self.regions: dict[str, list[str]] = {}
         self.periodic = [True, True, True]
         self.box: list[float] = []
@@ -308,30 +307,41 @@ class LammpsInput:
 
     def _do_group(self, line: InputLine, words: list[str]) -> None:
         key, style = self.text.word(line, words, 0), self.text.word(line, words, 1)
-        rest = words[2:]
+        groups = self.state.groups
+        before = groups.get(key, frozenset())
+        found = self._grouped(line, style, words[2:])
+        # LAMMPS adds to an existing group.
+        members = None if before is None or found is None else before | found
+        if style in ("delete", "clear"):
+            members = frozenset()
+        elif style == "subtract" and members is not None:
+            members = members.difference(*(self.members(other, line) for other in words[3:]))
+        groups[key] = members
+        # A fix acts on the atoms that are in its group during the run.
+        if members != before and any(fix.group == key for fix in self.state.fixes.values()):
+            self._note_change(line)
+
+    def _grouped(self, line: InputLine, style: str, rest: list[str]) -> frozenset[int] | None:
+        """Return the atoms that a command adds to a group; None if they are not known."""
         atoms = self._atoms()
         if style in ("id", "type"):
             if style == "type" and any(atom.kind == 0 for atom in atoms.values()):
                 raise line.refuse("depends on types, which the dump does not have: dump type")
             of = (lambda n: n) if style == "id" else (lambda n: atoms[n].kind)
             found = self._select(line, rest)
-            members = frozenset(n for n in atoms if found(of(n)))
-            # LAMMPS adds to an existing group.
-            self.groups[key] = members | (self.groups.get(key) or frozenset())
-        elif style in ("subtract", "union", "intersect") and rest:
+            return frozenset(n for n in atoms if found(of(n)))
+        if style in ("subtract", "union", "intersect") and rest:
             first, *others = (self.members(other, line) for other in rest)
-            method = {"subtract": "difference", "intersect": "intersection"}.get(style, style)
-            self.groups[key] = getattr(first, method)(*others)
-        elif style in ("delete", "clear", "empty"):
-            self.groups[key] = frozenset()
-        else:
-            self.groups[key] = None
+            if style == "subtract":
+                return first
+            return first.union(*others) if style == "union" else first.intersection(*others)
+        return frozenset() if style in ("delete", "clear", "empty", "static") else None
 
     def members(self, group: str, line: InputLine) -> frozenset[int]:
         """Return the atoms of a group."""
         if group == "all":
             return frozenset(self._atoms())
-        found = self.groups.get(group)
+        found = self.state.groups.get(group)
         if found is None:
             raise line.refuse(f"uses the group {group}, which is not defined by id or type")
         return found
@@ -378,7 +388,8 @@ class LammpsInput:
             raise line.refuse(_unread_fix(style))
         if style not in OBSERVERS:
             self._note_change(line)
-            self.state.fixes[key] = RunFix(line, style, words[3:], self.members(group, line))
+            self.members(group, line)
+            self.state.fixes[key] = RunFix(line, style, words[3:], group)
 
     def _do_unfix(self, line: InputLine, words: list[str]) -> None:
         if self.state.fixes.pop(self.text.word(line, words, 0), None):

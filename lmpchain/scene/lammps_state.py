@@ -101,12 +101,12 @@ class RunAtom:
 
 
 class RunFix(NamedTuple):
-    """A fix with the numbers of the atoms of its group."""
+    """A fix with the name of its group."""
 
     line: InputLine
     style: str
     words: list[str]
-    members: frozenset[int]
+    group: str
 
 
 class RunBond(NamedTuple):
@@ -128,9 +128,10 @@ class RunPair(NamedTuple):
 
 @dataclass
 class RunState:
-    """Forces and grains at one time of the input."""
+    """Forces, groups and grains at one time of the input; unknown groups are None."""
 
     atoms: dict[int, RunAtom] = field(default_factory=dict)
+    groups: dict[str, frozenset[int] | None] = field(default_factory=dict)
     last_number: int = 0
     type_masses: dict[int, float] = field(default_factory=dict)
     fixes: dict[str, RunFix] = field(default_factory=dict)

@@ -603,6 +603,29 @@ def test_a_change_between_runs_requires_a_dump(tmp_path: Path):
     assert upto.fields["duration"] == pytest.approx(120e-7)
 
 
+def test_fixes_act_on_the_members_that_their_groups_have_during_the_run(tmp_path: Path) -> None:
+    plain = Scene(**read(tmp_path, START).fields)
+    own = "group beads id 1:2\nfix 1 beads nve/sphere"
+    first = START.replace(own, "group h id 3\nfix 2 h freeze")
+    for text in (
+        START.replace(own, "group beads id 1\nfix 1 beads nve/sphere\ngroup beads id 2"),
+        START.replace(own, f"{own.replace('1:2', '3')}\ngroup beads clear\ngroup beads id 1:2"),
+        first.replace("create_atoms", "fix 1 all nve/sphere\ncreate_atoms", 1),
+    ):
+        assert Scene(**read(tmp_path, text).fields) == plain
+    for lines in (
+        own.replace("group", "group beads region box\ngroup"),
+        f"{own}\ngroup beads dynamic all every 1",
+    ):
+        with pytest.raises(InputError, match=r"fix 1 beads .* uses the group beads, which is not"):
+            read(tmp_path, START.replace(own, lines))
+    # A group that grows between two runs changes the second one.
+    more = "group beads static\ngroup hit id 1\nrun 10\n"
+    assert read(tmp_path, START + more).fields["duration"] == pytest.approx(110e-7)
+    with pytest.raises(InputError, match=r"line 18 .*is between the runs of lines 17 and 21"):
+        read(tmp_path, f"{START}group beads id 3\n{more}")
+
+
 def test_a_variable_that_the_command_line_can_set_is_named(tmp_path: Path):
     text = START.replace("set atom 1 vx 0.1", "variable v index 0.3\nset atom 1 vx $v")
     assert dict(read(tmp_path, text).facts)["variables"].startswith("v = 0.3, as in the file")
@@ -660,6 +683,11 @@ CONTINUED = {
     "groups that grow and shrink": (
         "group g id == 1\ngroup g id > 2\nvelocity g set 0.3 0 0\ngroup g clear\n"
         "group g id != 2\ngroup g id <= 1\nvelocity g set 0 0.4 0 sum yes\ngroup g delete"
+    ),
+    "groups that exist": (
+        "group g id 1\ngroup b id 2\ngroup c id 2 3\ngroup g union b b\nvelocity g set 0.3 0 0\n"
+        "group g subtract c b\nvelocity g set 0 0.4 0 sum yes\ngroup g intersect b c\n"
+        "group g empty\nvelocity g set 0 0 0.5 sum yes"
     ),
     "stars": "set atom *1 vx 0.2\nset atom 2* vy 0.3\nset type * vz 0.1\nset group beads vz 0",
     "sizes": (
