@@ -147,6 +147,23 @@ def test_an_opening_between_two_times_is_detected():
     assert opened(0.99 * near, -0.9) == 2
 
 
+@pytest.mark.parametrize("before", [0.5, -0.5])
+def test_equal_strains_of_both_signs_get_the_sign_of_the_strain_before(before: float):
+    """Strains whose magnitudes differ by less than 1e-6 are equal up to rounding."""
+    links = LinearLinks(STIFFNESS, np.ones(GRAINS + 1), MOBILITY, np.zeros(GRAINS))
+    still = ImposedMotion(np.zeros((2, 3)), 0, np.zeros(2))
+    for less in (0.9e-6, -0.9e-6, 1.1e-6, -1.1e-6):
+        # The strains are before and -before / 2, twice; and then -1, 1 - less and less.
+        u = np.array([[0, 0, -before, -before / 2, 0], [0, 0, 1, less, 0]])
+        solution = Evaluations(TIME[:2], RECORDED[:2], u, 0 * u, WHOLE[:2])
+        state = start()
+        accumulate(state, links, solution, still, StrainError(LEAD, 0.0, -2.0))
+        sign = before if abs(less) < 1e-6 else -less
+        assert state["strain"][0] == (1 - less if sign > 0 else -1)
+        mean = (before * TIME[0] + (before + state["strain"][0]) * (TIME[1] - TIME[0])) / 2
+        assert state["shift"][0] == pytest.approx(LEAD * mean, rel=1e-14)
+
+
 def test_the_initial_state():
     state = start()
     assert np.isnan(state["opened"][0])
