@@ -166,6 +166,8 @@ def test_steps_are_equal_parts_of_the_remaining_time():
     assert end_of_step(chain, span, 2.0, 1.0 - 1e-12) == 2.0
     assert end_of_step(chain, span, 2.0, 5.0) == 3.0
     assert end_of_step(chain, span, 0.5, 5.0) == 1.5
+    # The shortest step is 2^-50 of the time between two landings.
+    assert end_of_step(chain, span, 2.0, 0.0) == pytest.approx(1 + 3 * 2.0**-50, rel=1e-16)
 
 
 @pytest.mark.parametrize("reach", [0.1, 0.3, 2.0])
