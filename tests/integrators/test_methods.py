@@ -19,7 +19,7 @@ from lmpchain.integrators.kernels.layout import LEAST_SHARE, STATE
 from lmpchain.integrators.methods import METHODS, SPLITTINGS, Splitting
 from lmpchain.integrators.observed_run import ImposedCourse
 from lmpchain.integrators.stepper import NativeStepper, room_for
-from lmpchain.integrators.steps import MANY_STEPS, Steps, first_growth
+from lmpchain.integrators.steps import MANY_STEPS, Steps, first_growth, shorten_steps
 
 # --- properties of methods
 
@@ -205,6 +205,32 @@ def test_the_longest_step_between_kinks_is_that_of_equal_steps_between_landings(
         lengths = np.diff([begin, *landings, end])
         expected.append((lengths / np.ceil(lengths / 0.25 - 1e-6)).max())
     assert schedule.longest_between(begins, ends) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("exponent", "order"), [(1.5, 6), (2.0, 8)])
+@pytest.mark.parametrize("coarse", [False, True])
+def test_the_step_across_an_opening_has_a_lower_bound(coarse: bool, exponent: float, order: int):
+    """Its error has the order of the other steps, or is below rounding; steps keep their ratio."""
+    scenes = [
+        scene_of(column(6, diameter=d, exponent=exponent), Impulse(velocity=1e-3), 1e-5)
+        for d in (1e-3, 2e-3)
+    ]
+    batch = ChainBatch(scenes)
+    omega = batch.arrays.omega
+    shortened = 0.4 if coarse else 0.2
+    falls = 1 / (exponent + 1)
+    for phase in (1e-3, 0.3):
+        own = Steps(4, 1, phase / omega[0], True, coarse_openings=coarse)
+        found = shorten_steps(order, batch, [own, own.longer(2)])
+        assert found.shortened == shortened
+        assert found.close == pytest.approx(shortened ** (-14 / 3), rel=1e-14)
+        reach = np.outer([own.step, 2 * own.step], omega)
+        least = np.outer([1, 2], [0.1 * np.finfo(float).eps ** falls] * 2)
+        expected = np.maximum(0.03 ** (2.5 * falls) * reach ** ((order + 1) * falls), least)
+        assert (expected > least).all() == (phase == 0.3)
+        # A step at the largest nearness n has the length h' = shortened n^(-9/14) h.
+        crossing = shortened * found.nearest ** (-9 / 14) * reach
+        assert crossing == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(
