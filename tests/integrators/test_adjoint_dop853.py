@@ -66,6 +66,12 @@ def runs(chain: Chain, excitation: Excitation, units: float = 6.0) -> Scene:
     return Scene(chain=chain, excitation=excitation, duration=units / chain.band_edge, samples=5)
 
 
+def in_vacuum(exponent: float) -> Scene:
+    chain = CHAIN.replace(gravity=0.0, top_load=0.0, exponent=exponent)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-6, samples=5)
+    return scene.replace(duration=6 / scene.highest_frequency)
+
+
 OVERLAP = float(CHAIN.contacts.overlap.max())
 TONE = {"amplitude": OVERLAP, "frequency": 0.1 * CHAIN.band_edge}
 WALLED = CHAIN.replace(top="wall", exponent=2.0)
@@ -81,6 +87,8 @@ RUNS = {
     "one viscosity, driven": runs(CHAIN.replace(damping={"viscoelastic": 1e-7}), Drive(**TONE)),
     "touching wall": runs(TOUCHING, Impulse(velocity=-1e-3)),
     "loose grains": runs(LOOSE, Impulse(velocity=0.1)),
+    "vacuum": in_vacuum(1.5),
+    "vacuum, 2.5": in_vacuum(2.5),
     "long": runs(LONG, Impulse(velocity=0.05, grain=150)),
     "long, pushed": runs(LONG, Force(grain=150, amplitude=0.1, frequency=0.1 * LONG.band_edge)),
 }
@@ -105,12 +113,13 @@ def test_derivatives_of_runs_agree_with_differences(
     weights[0] *= scene.highest_frequency
     everywhere = run.pull(*weights)
     within_the_light_cone = run.pull(*weights, everywhere=False)
-    states = ["velocity", "displacement"]
+    # A change of touching grains closes some contacts and opens others, so the force has a kink.
+    states = ["velocity", "displacement"] if scene.chain.compressed else []
     moving = np.arange(scene.chain.grains) < scene.chain.movable
     sizes = {
         "velocity": moving * np.abs(scene.initial()[1]).max(),
         "displacement": moving * 0.1 * scene.chain.contacts.overlap.max(),
-        "damping.drag": scene.chain.band_edge,
+        "damping.drag": scene.highest_frequency,
     }
     forced = scene.excitation.does_work
     for name in [*NAMES, *(["amplitude", "frequency"] if forced else states)]:
