@@ -211,6 +211,21 @@ def test_forced_grains_move_as_in_plain_numpy(name: str, method: str):
     assert distance(fields, plainly(scene, method, STEPS_EACH)) < 2e-13
 
 
+def test_gear_restarts_where_a_force_ends_in_the_middle_of_a_step():
+    """Both parts of the step are equal then; an end elsewhere in the step gives the same error."""
+    steps = 96
+    step = 2.0 ** np.floor(np.log2(0.12 / ACTED.band_edge))  # Powers of two have exact halves.
+    errors = []
+    for end in (0.5, 0.50001):
+        duration = (steps // 2 + end) * step
+        force = Force(shape="half-sine", amplitude=HELD, duration=duration, grain=1)
+        scene = scene_of(ACTED, force, steps * step, 2)
+        schedule = Steps(steps, 1, step, False)
+        (found, _), (true, _) = (answer(scene, method, schedule) for method in ("gear4", "dop853"))
+        errors.append(np.abs(found - true).max((1, 2)) / np.abs(true).max((1, 2)))
+    assert errors[0] == pytest.approx(errors[1], rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("method", "acts"),
     [

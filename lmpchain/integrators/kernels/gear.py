@@ -148,8 +148,9 @@ def _advance(chain, method, work, clock, out, landed):
     ):
         if begin < end:
             _step(chain, corrections, work, begin, end, length)
-    if to_kink > 0.0:
-        state.step_size = 0.0
+        # The history restarts after the kink, also if both parts of the step have equal lengths.
+        if to_kink > 0.0:
+            state.step_size = 0.0
     watch(chain)
     look(chain, clock, state.steps + 1, then, 1.0)
     state.done += 1.0
