@@ -33,3 +33,25 @@ def test_the_compiled_forcing_equals_that_of_the_scene(drive: Drive, order: int)
     exact = scene.excitation.waveform.at(TIMES, order)
     # Rounding errors near a zero are relative to the largest value.
     assert found == pytest.approx(exact, rel=1e-10, abs=1e-12 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["linear", "pchip", "burst"])
+def test_the_branch_on_one_side_of_a_kink_is_evaluated(kind: str, order: int):
+    knots = np.array([0.0, 1.0, 2.5, 4.0, 5.5]) * UNIT
+    bump = 1e-9 * np.array([0, 1, -1, 2, 1])
+    drive = Drive(**WAVE, cycles=1.2)
+    if kind != "burst":
+        drive = Drive(times=knots, displacement=bump, interpolation=kind)
+    scene = Scene(chain=CHAIN, excitation=drive, duration=6 * UNIT, samples=3)
+    arrays = ChainBatch([scene]).arrays
+    right_hand_side.addresses()
+    given = arrays.wave[0], arrays.knots[0], arrays.pieces[0]
+    kinks = [t for t in scene.excitation.waveform.kinks if t > 0]
+    assert kinks
+    for kink in kinks:
+        for side in (-1e-9, 1e-9):
+            near = kink + side * UNIT
+            (exact,) = scene.excitation.waveform.at(np.array([near]), order)
+            found = right_hand_side._course(*given, kink, order, near)
+            assert found == pytest.approx(exact, rel=1e-6, abs=1e-16 / UNIT**order)
