@@ -196,14 +196,15 @@ def test_steps_that_land_on_every_sample_or_are_shorter():
 
 
 def test_the_longest_step_between_kinks_is_that_of_equal_steps_between_landings(rng):
-    schedule = Steps(4, 2, 0.25, True)
-    begins = np.append(rng.uniform(0, 5, 50), [1.0, 1.0, 1.1, 0.0])
-    ends = np.append(begins[:50] + rng.uniform(0.01, 3, 50), [2.0, 1.2, 1.2, 0.1])
+    landing = 2.0
+    schedule = Steps(4, 2, landing / 4, True)
+    begins = np.append(rng.uniform(0, 5, 50), [2.0, 2.0, 2.1, 0.0])
+    ends = np.append(begins[:50] + rng.uniform(0.01, 6, 50), [4.0, 2.2, 2.2, 0.1])
     expected = []
     for begin, end in zip(begins, ends, strict=True):
-        landings = [float(n) for n in range(10) if begin < n < end]
+        landings = [n * landing for n in range(10) if begin < n * landing < end]
         lengths = np.diff([begin, *landings, end])
-        expected.append((lengths / np.ceil(lengths / 0.25 - 1e-6)).max())
+        expected.append((lengths / np.ceil(lengths / schedule.step - 1e-6)).max())
     assert schedule.longest_between(begins, ends) == pytest.approx(expected, rel=1e-12)
 
 
