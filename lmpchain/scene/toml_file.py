@@ -320,6 +320,12 @@ def _file(folder: Path | None, name: Any) -> Path:
     return folder / expanded(name)
 
 
+def count_grains(name: Any, folder: Path) -> int:
+    """Return the number of grains in the CSV file of a chain; raise `InputError` if invalid."""
+    _, rows = _read_table(_file(folder, name))
+    return len(rows)
+
+
 def _csv(path: Path, names: Sequence[str]) -> dict[str, Any]:
     """Return columns from a CSV file: lists of numbers, or of words for `material`."""
     header, lines = _read_table(path)

@@ -18,6 +18,7 @@ from xarray.core import indexing
 from ..chain.chain import Chain
 from ..errors import InputError, short
 from ..scene.recording import Recording
+from ..scene.toml_file import count_grains
 from ..util.arrays import Array
 from ..util.files import LARGEST_JSON, check_readable, check_tree, path_of
 from ..util.remarks import warnings_aside
@@ -111,7 +112,9 @@ class _Shape(NamedTuple):
 
 def _find_shape(plan: Sweep, position: Place) -> _Shape:
     tables: dict[str, Any] = plan.tables_at(position)
-    size = plan.scene(position).chain.grains if "file" in tables["chain"] else plan.grains(position)
+    chain = tables["chain"]
+    # The chain itself may be invalid in this scene, but not in others.
+    size = count_grains(chain["file"], plan.folder) if "file" in chain else plan.grains(position)
     recording, numbers = _read_recording(json.dumps(tables.get("recording")), size)
     return _Shape(recording.samples, recording.duration, tuple(numbers.tolist()), size)
 

@@ -352,6 +352,27 @@ def test_scenes_with_different_recordings(tmp_path):
     assert np.isfinite(found.velocity[1, :, :3]).all()
 
 
+def test_the_grains_of_a_file_count_if_its_first_scene_is_invalid(tmp_path):
+    """Soft grains do not allow the first strike, but the next scenes need places for all grains."""
+    for count in (3, 8):
+        (tmp_path / f"{count}.csv").write_text("diameter\n" + "1e-3\n" * count)
+    chain = {"file": str(tmp_path / "3.csv")}
+    grid = {"excitation.velocity": [100.0, 1e-4], "chain.material": ["ptfe", "steel"]}
+    asked = {"scene": SHORT | {"chain": chain}, "grid": grid, "tolerance": 1e-3}
+    files = {"chain.file": [str(tmp_path / f"{count}.csv") for count in (3, 8)]}
+    for more, counts in (({}, [3]), (files, [3, 8])):
+        with pytest.warns(UserWarning, match="Hertz's law"):
+            found = sweep(asked | {"grid": more | grid}, tmp_path / str(len(counts)))
+        assert found.grain.values.tolist() == list(range(1, counts[-1] + 1))
+        here = found.stack(scene=[*more, *grid]).transpose("scene", ...)
+        for n, count in enumerate(counts):
+            invalid, *others = here.reason.values[4 * n : 4 * n + 4]
+            assert "squeezes contact" in invalid
+            assert others == ["", "", ""]
+            stored = np.isfinite(here.velocity[4 * n + 1 : 4 * n + 4]).all("time").sum("grain")
+            assert stored.values.tolist() == [count] * 3
+
+
 def test_a_common_order_of_grains_is_preserved(tmp_path):
     scene = SHORT | {"recording": SHORT["recording"] | {"grains": [7, 2]}}
     found = sweep({"scene": scene, "grid": {"chain.gravity": [5.0]}}, tmp_path)
