@@ -284,6 +284,10 @@ def take_over(plan: Sweep, layout: StoreLayout, results: Path, earlier: Path) ->
     forget_damaged(earlier, old_layout)
     if _shapes(layout) != _shapes(old_layout) or old_plan.keep != plan.keep:
         return
+    # Equal shapes do not imply that equal columns are of equal grains.
+    labels = _read_labels(results, layout), _read_labels(earlier, old_layout)
+    if not np.array_equal(*(each["grain"][1] for each in labels)):
+        return
     keys, old_numbers = _done(old_plan, old_layout, earlier)
     if not keys.size:
         return

@@ -373,6 +373,15 @@ def test_the_grains_of_a_file_count_if_its_first_scene_is_invalid(tmp_path):
             assert stored.values.tolist() == [count] * 3
 
 
+def test_results_of_other_grains_are_not_reused(tmp_path):
+    """Both sweeps have the same scene and arrays of the same shape, but of other grains."""
+    for number, other in enumerate(([4, 5], [1, 6], [3, 2])):
+        grid = {"recording.grains": [[2, 3], other]}
+        found = sweep({"scene": SHORT, "grid": grid}, tmp_path).load()
+        anew = sweep({"scene": SHORT, "grid": grid}, tmp_path / str(number)).load()
+        assert found.identical(anew)
+
+
 def test_a_common_order_of_grains_is_preserved(tmp_path):
     scene = SHORT | {"recording": SHORT["recording"] | {"grains": [7, 2]}}
     found = sweep({"scene": scene, "grid": {"chain.gravity": [5.0]}}, tmp_path)
