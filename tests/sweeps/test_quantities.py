@@ -9,6 +9,8 @@ from helpers.example_scenes import scene_of
 from helpers.taylor_series import reference
 
 from lmpchain import Chain, Impulse, InputError, Scene, simulate, sweep
+from lmpchain.measure.energy import shares
+from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.quantities import (
     QUANTITIES,
     add_rest,
@@ -17,6 +19,7 @@ from lmpchain.sweeps.quantities import (
     quantity,
     with_gathered,
 )
+from lmpchain.sweeps.tasks import scenes
 
 UNITS = {
     "displacement": "m",
@@ -43,14 +46,17 @@ DIMENSIONS = {
 GRAINS = [3, 4, 7]
 CHAIN = Chain(grains=12, diameter=1e-3)
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=2e-3), duration=4e-5, samples=41)
+ASKED = {
+    "scene": SCENE.replace(grains=GRAINS).to_dict(),
+    "keep": [*QUANTITIES, "peak_force:4"],
+    "grid": {"chain.gravity": [9.81]},
+}
 
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    keep = [*QUANTITIES, "peak_force:4"]
-    scene = SCENE.replace(grains=GRAINS).to_dict()
     folder = tmp_path_factory.mktemp("quantities")
-    return sweep({"scene": scene, "keep": keep, "grid": {"chain.gravity": [9.81]}}, folder).load()
+    return sweep(ASKED, folder).load()
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +132,24 @@ def test_energies_of_grains_and_contacts(swept: Any, whole: Any):
         assert swept.contact_energy[0, :, place].values == pytest.approx(below, abs=1e-4 * size)
         share = kinetic[rows, grain - 1] + (held[rows, grain - 1] + held[rows, grain - 2]) / 2
         assert swept.grain_energy[0, :, place].values == pytest.approx(share, abs=1e-4 * size)
+
+
+def test_errors_of_energies_are_those_of_their_grains_and_contacts(swept: Any):
+    """The error of a sum is the sum of the errors of all recorded grains and contacts."""
+    plan = read_sweep(ASKED)
+    (scene,) = scenes(plan, 0, 1, together=False)
+    assert isinstance(scene, Scene)
+    energy = shares(simulate(scene))
+    grains = np.searchsorted(energy.grain, GRAINS)
+    below = energy.elastic_error[:, np.searchsorted(energy.contact, GRAINS)]
+    whole = energy.kinetic_error[:, grains].sum(1) + below[:, 0]
+    for name, error in (
+        ("energy", whole),
+        ("grain_energy", energy.of_grain_error[:, grains]),
+        ("contact_energy", below),
+    ):
+        np.testing.assert_allclose(swept[f"{name}_error"][0], error, rtol=1e-6, atol=0)
+    assert np.median(below[1:, 0] / whole[1:]) > 1e-3
 
 
 def test_peaks_include_the_motion_between_samples(swept: Any, whole: Any):

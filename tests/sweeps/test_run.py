@@ -15,7 +15,7 @@ from helpers.example_sweeps import SCENE
 from helpers.faults import faults
 
 from lmpchain import Chain, Impulse, InputError, Scene, engines, sweep
-from lmpchain.engines.cost_model import TooLong, budget
+from lmpchain.engines.cost_model import TooLong, budget, in_words
 from lmpchain.sweeps import run, store, tasks
 from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.results import find_recorded, make_labels
@@ -23,6 +23,7 @@ from lmpchain.sweeps.run import Here
 from lmpchain.sweeps.tasks import count_scenes
 
 GRAVITIES = [float(n) for n in range(1, 8)]
+LONGER = {"recording": {"duration": 1e-4, "samples": 11}}
 ASKED = {"scene": SCENE, "grid": {"chain.gravity": GRAVITIES}, "keep": ["wall_force"]}
 
 
@@ -264,6 +265,24 @@ def test_the_expected_time_is_that_of_the_remaining_scenes(tmp_path: Path):
         assert text == f"{count} scenes by native for a tolerance of 1e-06"
         expected_s = count / 7 * sum(costs) / workers
         assert float(time.removesuffix(" s")) == pytest.approx(expected_s, rel=0.06)
+
+
+def test_the_expected_time_of_many_scenes_is_extrapolated_from_some():
+    """No more than 16 scenes at equal distances are priced, here every third one of 33."""
+    engine = engines.Native()
+    grid = {"chain.grains": [n * n for n in range(3, 36)]}
+    plan = read_sweep(ASKED | {"grid": grid, "scene": SCENE | LONGER})
+    made = [scene for scene in tasks.scenes(plan, 0, 33, False) if isinstance(scene, Scene)]
+    costs = [engine.propose(engine.part(scene), 1e-6).cost_s for scene in made[::3]]
+    with (
+        budget(1e-9),
+        pytest.raises(TooLong) as announced,
+        tasks.announce_work(plan, made, 1000, 4),
+    ):
+        pass
+    text, _, time = str(announced.value).partition(" would take about ")
+    assert text == "1000 scenes by native for a tolerance of 1e-06"
+    assert time == in_words(1000 / 4 * sum(costs) / 11)
 
 
 # --- labels
