@@ -170,7 +170,10 @@ def resume(
     if state["state"] == "finished":
         trajectory = Trajectory.load(folder)
         if state["reason"] and not state["best_effort"]:
-            raise ToleranceNotMet(state["reason"], trajectory)
+            horizon_s = state["known_until"]
+            raise ToleranceNotMet(
+                state["reason"], trajectory, math.inf if horizon_s is None else horizon_s
+            )
         return trajectory
     with RunFolder(folder, Requests(max_wall), ranks=ranks) as output:
         answer = _answer(output, progress)

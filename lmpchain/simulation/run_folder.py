@@ -148,6 +148,10 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
         if not 0 < report["tolerance"] < 1:
             raise ValueError("its tolerance is invalid")
         report["best_effort"] = bool(report["best_effort"])
+        # Older files have no horizon.
+        horizon_s = report.setdefault("known_until", None)
+        if horizon_s is not None and not horizon_s > 0:
+            raise ValueError("its predictability horizon is invalid")
         report.pop(SEALED, None)
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError.at(str(path), f"was changed and cannot be read: {error}") from None
@@ -218,6 +222,7 @@ class RunFolder:
         # Times of earlier sessions, s.
         self._before = dict.fromkeys(("wall_s", *SPENT), 0.0)
         self._estimate: float | None = None
+        self._horizon = math.inf
         self._began = time.monotonic()
 
     def __enter__(self) -> RunFolder:
@@ -403,6 +408,7 @@ class RunFolder:
         spent: Any = self._spent(outcome.cost)
         cost = outcome.cost._replace(**{key: spent[key] for key in SPENT})
         self._estimate = outcome.error.estimate.total
+        self._horizon = outcome.known_until
         self._writer.conclude(outcome.error.estimate, cost, gathered)
         files.write_sums(self.path, finished=True)
         self._write_status("finished", outcome.missed)
@@ -420,6 +426,7 @@ class RunFolder:
             "tolerance": self.tolerance,
             "best_effort": self.best_effort,
             "error_estimate": self._estimate,
+            "known_until": self._horizon,
             "wall_s": self._before["wall_s"] + time.monotonic() - self._began,
             "updated": now(),
             "host": platform.node(),

@@ -345,7 +345,14 @@ def test_a_killed_run_has_the_status_killed(tmp_path, small_blocks):
     )  # fmt: skip
     with FileLock(folder / ".lock"):
         assert status(folder)["state"] == "running"
-    for wrong in ({"state": "asleep"}, {"tolerance": 0}, {"tolerance": 1}, {"reason": 3}):
+    for wrong in (
+        {"state": "asleep"},
+        {"tolerance": 0},
+        {"tolerance": 1},
+        {"reason": 3},
+        {"known_until": 0.0},
+        {"known_until": "1"},
+    ):
         file.write_text(
             json.dumps(
                 {"state": "stopped", "tolerance": 1e-6, "reason": "", "best_effort": 0} | wrong

@@ -110,8 +110,12 @@ def test_a_horizon_that_needs_ever_shorter_steps_is_halved(tmp_path):
     truth, doubt = taylor_series.reference(kept.scene, 1e-12)
     assert truth.error(kept.displacement, kept.velocity) + doubt <= kept.error_estimate.solver
     assert kept.error_estimate.solver <= 1e-2
-    with pytest.raises(ToleranceNotMet):
+    with pytest.raises(ToleranceNotMet) as new:
         simulate(scene, "native", 1e-2, folder=tmp_path / "run")
+    with pytest.raises(ToleranceNotMet) as again:
+        resume(tmp_path / "run")
+    for error in (new.value, again.value):
+        assert (error.reason, error.known_until) == (missed.value.reason, missed.value.known_until)
     disk = lmpchain.Trajectory.load(tmp_path / "run")
     assert np.array_equal(disk.velocity[:], kept.velocity)
 
