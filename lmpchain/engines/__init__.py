@@ -72,7 +72,8 @@ def get(engine: str | Engine, **options: Any) -> Engine:
                 [(key, "belongs to the engine: give it to its constructor") for key in options]
             )
         return engine
-    if engine not in REGISTRY:
+    # A list has no hash.
+    if not isinstance(engine, str) or engine not in REGISTRY:
         raise InputError.at("engine", not_among(engine, REGISTRY))
     engine_class = _load(*REGISTRY[engine])
     # The constructor itself would report only the first wrong option.

@@ -125,7 +125,7 @@ def simulate(
 
 def check_on_miss(on_miss: Any) -> None:
     """Raise `InputError` unless an option is "raise" or "warn"."""
-    if on_miss not in ("raise", "warn"):
+    if not isinstance(on_miss, str) or on_miss not in ("raise", "warn"):
         raise InputError.at("on_miss", f'must be "raise" or "warn" (got {shown(on_miss)})')
 
 

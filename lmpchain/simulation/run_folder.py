@@ -32,6 +32,7 @@ import threading
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -96,7 +97,9 @@ class Requests:
     """
 
     def __init__(self, max_wall: float | None):
-        if max_wall is not None and not (isinstance(max_wall, int | float) and max_wall > 0):
+        # NumPy's numbers are real numbers, but so are Booleans.
+        real = isinstance(max_wall, Real) and not isinstance(max_wall, bool)
+        if max_wall is not None and not (real and max_wall > 0):
             raise InputError.at("max_wall", f"must be a time above 0 s (got {shown(max_wall)})")
         self._deadline = time.monotonic() + (math.inf if max_wall is None else max_wall)
         self._before: dict[int, Any] = {}

@@ -5,6 +5,7 @@ Warnings, files of a folder, costs of a batch.
 
 import hashlib
 import json
+import math
 import re
 import signal
 import time
@@ -147,16 +148,20 @@ def test_a_long_run_states_what_takes_less(monkeypatch):
 
 
 def test_invalid_options():
-    for wrong in ("ignore", None, 3):
+    for wrong in ("ignore", None, 3, np.array(["raise", "warn"])):
         with pytest.raises(InputError, match='on_miss: must be "raise" or "warn"'):
             simulate(SCENE, on_miss=wrong)
     with pytest.raises(InputError, match="max_wall: requires a run folder"):
         simulate(SCENE, max_wall=1.0)
-    for wall in (0, -1.0, "1"):
+    for name in (["native"], {}, 3, "nativ"):
+        for ask in (simulate, lambda scene, name: lmpchain.plan(scene, 1e-6, name)):
+            with pytest.raises(InputError, match=r"engine: must be .*native"):
+                ask(SCENE, name)
+    for wall in (0, -1.0, "1", True, math.nan):
         with pytest.raises(InputError, match="max_wall: must be a time above 0 s"):
             Requests(wall)
     assert Requests(None).reason == ""
-    assert Requests(1e6).reason == ""
+    assert Requests(np.int64(10**6)).reason == ""
     with pytest.raises(InputError, match="tolerance"):
         simulate(SCENE, tolerance=1.0)
 
