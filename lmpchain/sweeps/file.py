@@ -276,7 +276,7 @@ def is_name(text: Any) -> bool:
 
 def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
     """Return the sweep for the tables of a sweep file; raise `InputError` with all faults."""
-    faults = [(key, unknown_key(key, KEYS)) for key in data if key not in KEYS]
+    faults = [(str(key), unknown_key(str(key), KEYS)) for key in data if key not in KEYS]
     kinds = {kind: data[kind] for kind in MAKERS if kind in data}
     tolerance = data.get("tolerance", 1e-6)
     results: list[Any] = []

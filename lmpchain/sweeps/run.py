@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, LmpchainError, RunFailed, short
+from ..errors import InputError, LmpchainError, RunFailed, short, shown
 from ..util.files import (
     check_tree,
     describe_holder,
@@ -236,6 +236,8 @@ def sweep(
     workers = check_whole("workers", workers, 1)
     if scheduler is not None and executor is not None:
         raise InputError.at("scheduler", "cannot be combined with an executor: give one of the two")
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise InputError.at("executor", f"must have a method submit (got {shown(executor)})")
     local = scheduler is None and executor is None
     if workers > 1 and local:
         end_if_imported()
@@ -405,7 +407,7 @@ def dask(address: str) -> Iterator[Executor]:
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=TASKS.scheduler_s)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise InputError.at(
             "scheduler", f"no Dask scheduler answers at {short(address)} ({short(error)})"
         ) from None

@@ -143,6 +143,16 @@ def test_workers_are_counted_from_1(workers: Any, tmp_path: Path):
     ]
 
 
+def test_executors_and_schedulers_of_other_types_are_rejected(tmp_path: Path):
+    told = faults(sweep, ASKED, tmp_path, executor=5)
+    assert told == [("executor", "must have a method submit (got 5)")]
+    ((key, text),) = faults(sweep, ASKED, tmp_path, scheduler=5)
+    assert key == "scheduler"
+    assert text.startswith("no Dask scheduler answers at 5 (")
+    ((key, text),) = faults(sweep, ASKED | {5: 1}, tmp_path)
+    assert (key, text.partition(";")[0]) == ("5", "unknown key")
+
+
 def test_warnings_are_given_once_for_all_scenes(tmp_path: Path):
     chain = SCENE["chain"] | {"diameter": 1.0}
     grid = {"excitation.velocity": [1e-4, 2e-4], "chain.diameter": [1.0, 2.0]}
