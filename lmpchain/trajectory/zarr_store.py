@@ -426,6 +426,9 @@ class OnDisk(NDArrayOperatorsMixin):
         raise InputError.at(NAME, f"was damaged and cannot be read: {fault}; run the scene anew")
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        if any(isinstance(value, OnDisk) for value in options.get("out", ())):
+            cure = "change a copy, numpy.array(...), of the array"
+            raise InputError.at(NAME, f"is a result, which is not changed: {cure}")
         read = (np.asarray(value) if isinstance(value, OnDisk) else value for value in inputs)
         return getattr(ufunc, method)(*read, **options)
 

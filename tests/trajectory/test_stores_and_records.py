@@ -194,6 +194,9 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
     assert np.array_equal(np.abs(field), np.abs(truth))
     assert field.max() == truth.max()
     assert np.asarray(field, dtype=np.float32).dtype == np.float32
+    with pytest.raises(InputError, match="is a result, which is not changed"):
+        field -= truth
+    assert np.array_equal(np.add(field, truth, out=np.zeros_like(truth)), 2 * truth)
     (empty / NAME / "velocity" / "c" / "0" / "0").unlink()
     with pytest.raises(
         InputError,
