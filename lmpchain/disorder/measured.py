@@ -123,13 +123,15 @@ class MeasuredEnsemble(Shown, Tabular):
         """Return the ends of a 95 % confidence interval of a quantile, (...) each.
 
         The ends are order statistics, so that the interval is valid for every continuous
-        distribution. An end is infinite if there are too few chains.
+        distribution. An end is infinite if there are too few chains, and NaN if a value is NaN.
         """
         _check_share(share)
         low, high = binom.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2], self.realisations, share)
         ends = np.full((1, *self.values.shape[1:]), np.inf)
         ordered = np.concatenate((-ends, np.sort(self.values, axis=0), ends))
-        return ordered[int(low)], ordered[int(high) + 1]
+        unknown = np.isnan(self.values).any(0)
+        first, last = (np.where(unknown, np.nan, ordered[int(n)]) for n in (low, high + 1))
+        return first, last
 
     def _columns(self) -> Iterator[NamedColumn]:
         if self.x is not None:
@@ -229,11 +231,7 @@ def statistics(
         if over not in dimensions:
             raise InputError.at("over", not_among(over, dimensions))
         values = values.transpose(over, ...)
-    try:
-        rows = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        message = f"must be numbers, in rows of equal length (got {shown(values)})"
-        raise InputError.at("values", message) from None
+    rows = _real(values, "values", "must be numbers, in rows of equal length")
     if rows.ndim < 1 or len(rows) < 2:
         raise InputError.at("values", "must have rows of two chains or more")
     missing = np.flatnonzero(np.isnan(rows).reshape(len(rows), -1).any(1))
@@ -241,6 +239,21 @@ def statistics(
         message = f"are missing for {missing.size} of {len(rows)} chains, first for {missing[0]}"
         raise InputError.at("values", f"{message}: leave them out if this causes no bias")
     return MeasuredEnsemble(rows, _coordinate(x, rows), np.nan, np.nan)
+
+
+def _real(values: Any, key: str, message: str) -> Array:
+    """Return real numbers as an array of float64; raise `InputError` for other values."""
+    rows = values if isinstance(values, list | tuple) else [values]
+    # NumPy would use masked entries, and drop imaginary parts.
+    if any(np.ma.is_masked(row) for row in rows):
+        raise InputError.at(key, f"{message}, but entries are masked: leave them out")
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "biufO":
+            return array.astype(float)
+    except (TypeError, ValueError):
+        pass
+    raise InputError.at(key, f"{message} (got {shown(rows[0] if len(rows) == 1 else values)})")
 
 
 def _coordinate(x: ArrayLike | None, rows: Array) -> Array | None:
@@ -487,14 +500,11 @@ def _gather(
             bar.reach(len(rows))
 
     def statistics(values: list[Any], name: str) -> MeasuredEnsemble:
-        message = f"must return numbers, or arrays of one shape{name} (got {shown(values[0])})"
+        message = f"must return numbers, or arrays of one shape{name}"
         # NumPy would convert None, the result of a function without a return, to NaN.
         if any(value is None for value in values):
-            raise InputError.at("measure", message)
-        try:
-            stacked = np.array(values, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError.at("measure", message) from None
+            raise InputError.at("measure", f"{message} (got None)")
+        stacked = _real(values, "measure", message)
         return MeasuredEnsemble(stacked, _coordinate(x, stacked), model, solver)
 
     if isinstance(rows[0], Mapping):

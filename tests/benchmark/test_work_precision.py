@@ -27,6 +27,7 @@ from lmpchain.benchmark.chart import LABELLED, TARGET
 from lmpchain.benchmark.curves import front, time_to
 from lmpchain.benchmark.reference import reference
 from lmpchain.cli.command_line import main
+from lmpchain.engines import cost_model
 from lmpchain.integrators.methods import METHODS
 from lmpchain.util.plotting import figure, save
 
@@ -298,9 +299,12 @@ def test_a_budget_limits_the_time(budget):
         work_precision(SCENE, budget)
 
 
-def test_a_scene_with_too_expensive_a_reference_is_rejected():
-    with pytest.raises(InputError, match="duration"):
+def test_charts_that_take_too_long_are_rejected():
+    with pytest.raises(InputError, match="^duration: the reference alone would take about "):
         work_precision(Scene(**SCENE.given() | {"duration": 1e3}))
+    # The time of the reference is short, so that the budget is most of the announced time.
+    with cost_model.budget(90), pytest.raises(cost_model.TooLong, match=r"^the chart .* 2 minutes"):
+        work_precision(SCENE, 100.0)
 
 
 def test_engines_beyond_the_time_limit_are_left_out():

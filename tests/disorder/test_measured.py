@@ -72,6 +72,10 @@ def test_the_interval_of_a_median_is_that_of_tables(chains: int, low: float, hig
     """The ends are order statistics (W. J. Conover, Practical Nonparametric Statistics)."""
     found = MeasuredEnsemble(np.arange(chains, 0.0, -1.0), None, 0.0, 0.0)
     assert found.quantile_interval(0.5) == (low, high)
+    # A value that is not a number may be anywhere in the order.
+    curve = np.stack((found.values, np.append(found.values[1:], np.nan)), axis=1)
+    ends = MeasuredEnsemble(curve, None, 0.0, 0.0).quantile_interval(0.5)
+    np.testing.assert_array_equal(ends, [[low, np.nan], [high, np.nan]])
 
 
 def test_drawn_factors_come_back() -> None:
@@ -112,9 +116,10 @@ def test_curves_and_several_quantities_are_those_of_single_runs() -> None:
     table = found["spectrum"].to_dataframe()
     assert len(table) == 101
     low, high = found["spectrum"].interval
-    columns = {"mean": spread.mean(0), "deviation": spread.std(0, ddof=1)}
+    columns = {"x": np.arange(101), "mean": spread.mean(0), "deviation": spread.std(0, ddof=1)}
     columns |= {"interval_low": low, "interval_high": high}
     columns |= {f"quantile_{q}": np.quantile(spread, q, axis=0) for q in (0.05, 0.5, 0.95)}
+    assert set(table) == {*columns, "error"}
     for name, values in columns.items():
         assert table[name].to_numpy() == pytest.approx(values, rel=1e-12)
 
@@ -248,6 +253,8 @@ def test_wrong_measures_are_refused() -> None:
     with pytest.raises(InputError, match="realisations"):
         measured_over(SHORT, lambda t: 0.0, 5, 1, seed=1)
     for measure, match in (
+        (lambda t: 1j * t.velocity[-1], "^measure: must return numbers, or arrays of one shape"),
+        (lambda t: np.ma.masked_equal(t.displacement[0], 0.0), "^measure: .*entries are masked"),
         (None, r"^measure: must be a function of a trajectory \(got None\)"),
         (lambda t: None, r"^measure: must return numbers, .* \(got None\)"),
         (lambda t: {str(t.scene.chain.masses[0]): 1.0}, "^measure: must return the same names"),
@@ -269,6 +276,8 @@ def test_common_properties_of_grains_are_known(common: Any) -> None:
     [
         ("abc", None, r"^values: must be numbers, in rows of equal length \(got 'abc'\)"),
         ([[1.0, 2.0], [3.0]], None, "^values: must be numbers, in rows of equal length"),
+        (np.array([1j, 2.0]), None, "^values: must be numbers, in rows of equal length"),
+        (np.ma.array([1.0, 2.0, 9.0], mask=[0, 0, 1]), None, "^values: .*entries are masked"),
         ([[1.0, 2.0], [3.0, 4.0]], [1.0, 2.0, 3.0], r"^x: must be of shape \(2,\)"),
     ],
 )
