@@ -198,6 +198,8 @@ def _contacts_verdict(run: Trajectory) -> str:
     order = np.argsort(run.grains)
     grains = run.grains[order]
     neighbours = np.flatnonzero(np.diff(grains) == 1)
+    if not neighbours.size:
+        return "none between two recorded grains"
     u = np.asarray(run.displacement)[:, order]
     overlap = run.scene.chain.equilibrium_overlap[grains[neighbours] - 1]
     least = (overlap + u[:, neighbours] - u[:, neighbours + 1]).min(0, initial=np.inf)
