@@ -170,7 +170,7 @@ class _Box:
         faults = [
             ("bounds", f"give a lower and an upper bound of {name}")
             for name in names
-            if not isinstance(bounds.get(name), Sequence | np.ndarray) or len(bounds[name]) != 2
+            if not _is_pair(bounds.get(name))
         ]
         faults += [
             ("bounds", f"{shown(name)} is not one of the parameters")
@@ -223,6 +223,49 @@ class _Box:
         return (entries * self.width)[self.free]
 
 
+def _is_pair(value: object) -> bool:
+    # An array without axes has no length.
+    sized = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim > 0)
+    return sized and len(value) == 2  # type: ignore[arg-type]
+
+
+class _Limit(NamedTuple):
+    """A constraint and its scale, the largest change by one parameter across its bounds.
+
+    Divided by its scale, a constraint in any unit has the same tolerance.
+    """
+
+    function: Constraint
+    scale: float
+
+    def value(self, values: Values) -> float:
+        """Return the constraint over its scale."""
+        return float(self.function(values)[0]) / self.scale
+
+    def slopes(self, values: Values, box: _Box) -> Array:
+        """Return the gradient over the scaled numbers of the box."""
+        return box.slopes(self.function(values)[1]) / self.scale
+
+
+def _limit(constraint: Constraint, box: _Box) -> _Limit:
+    """Return a constraint with its scale; raise `InputError` if its derivatives are invalid."""
+    found: Any = constraint(box.values(box.start))
+    if not _is_pair(found) or np.ndim(found[0]) or not isinstance(found[1], Mapping):
+        message = f"must return a number and its derivatives by name (got {shown(found)})"
+        raise InputError.at("constraints", message)
+    value, slopes = found
+    sizes = dict(zip(box.names, np.diff(box.sizes).tolist(), strict=True))
+    for name, slope in slopes.items():
+        if name not in sizes:
+            message = f"return a derivative by {shown(name)}, which is not one of the parameters"
+            raise InputError.at("constraints", message)
+        if np.shape(slope) not in ((), (1,), (sizes[name],)):
+            message = f"must return {sizes[name]} derivatives by {name} (got {np.size(slope)})"
+            raise InputError.at("constraints", message)
+    sizes_of_change = float(np.abs(box.slopes(slopes)).max()), abs(float(value)), 1.0
+    return _Limit(constraint, next(size for size in sizes_of_change if 0 < size < np.inf))
+
+
 class Start(NamedTuple):
     """A finished start: its best value, the parameters there, and the values of all its runs.
 
@@ -272,7 +315,8 @@ def optimise(
         bounds do not change.
     constraints : sequence of functions, optional
         Functions of the parameters by name. Each returns a number that must be 0 or above, and the
-        derivatives of this number by name.
+        derivatives of this number by name. The number may be below 0 by a millionth of its largest
+        change by one parameter across its bounds.
     maximise : bool
         Whether to maximise the objective.
     starts, runs, seed : int
@@ -294,7 +338,8 @@ def optimise(
     Raises
     ------
     InputError
-        If parameters and bounds do not fit together, or if the folder belongs to another task.
+        If parameters, bounds and constraints do not fit together, or if the folder belongs to
+        another task.
     RunFailed
         If no start converges.
 
@@ -322,6 +367,7 @@ def optimise(
             "constraints", f"must be a list of functions (got {shown(constraints)})"
         )
     box = _Box(scene, names, bounds)
+    limited = [_limit(constraint, box) for constraint in constraints]
     drawn = qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))
     begins = np.vstack([box.start, drawn])[:starts]
     store = None
@@ -335,7 +381,7 @@ def optimise(
         finished = store.read()
     sign = -1.0 if maximise else 1.0
     first = _value(changed(scene, box.values(box.start)), objective, tolerance)
-    descent = _Descent(box, objective, constraints, sign, runs, min(RUNS.turn, first.turn))
+    descent = _Descent(box, objective, limited, sign, runs, min(RUNS.turn, first.turn))
     with ProgressBar(len(begins), "starts", done=len(finished), shown=progress) as bar:
         for begin in begins[len(finished) :]:
             finished.append(_descend(descent, begin))
@@ -385,7 +431,7 @@ class _Descent(NamedTuple):
     ----------
     box : _Box
     objective : Objective
-    constraints : sequence of functions
+    limits : list of _Limit
     sign : float
         1 to minimise, -1 to maximise.
     runs : int
@@ -396,7 +442,7 @@ class _Descent(NamedTuple):
 
     box: _Box
     objective: Objective
-    constraints: Sequence[Constraint]
+    limits: list[_Limit]
     sign: float
     runs: int
     turn: float
@@ -415,7 +461,7 @@ class _Descent(NamedTuple):
     def allows(self, at: Array) -> bool:
         """Return whether a point satisfies all constraints within rounding."""
         values = self.box.values(at)
-        return all(constraint(values)[0] >= -1e-6 for constraint in self.constraints)
+        return all(limit.value(values) >= -1e-6 for limit in self.limits)
 
 
 def _descend(descent: _Descent, begin: Array) -> Start:
@@ -447,10 +493,10 @@ def _descend(descent: _Descent, begin: Array) -> Start:
     limits = [
         {
             "type": "ineq",
-            "fun": lambda at, limit=limit: limit(box.values(at))[0],
-            "jac": lambda at, limit=limit: box.slopes(limit(box.values(at))[1]),
+            "fun": lambda at, limit=limit: limit.value(box.values(at)),
+            "jac": lambda at, limit=limit: limit.slopes(box.values(at), box),
         }
-        for limit in descent.constraints
+        for limit in descent.limits
     ]
     options: dict[str, Any] = {"maxiter": descent.runs}
     if not limits:

@@ -400,12 +400,17 @@ def test_the_maximum_is_at_the_far_bound_and_runs_are_counted():
 
 
 def test_constraints_hold_and_failed_starts_are_reported():
-    def slow(by_name: dict[str, np.ndarray]) -> tuple[float, dict[str, np.ndarray]]:
-        return 2.5 + by_name["velocity"][0], {"velocity": np.array([1.0, 0.0])}
+    # The tolerance of a constraint does not depend on its unit.
+    for unit in (1.0, 1e-7):
 
-    bound = optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, [slow], starts=2)
-    assert bound.values["velocity"][0] == pytest.approx(-2.5, rel=1e-5)
-    assert bound.value == pytest.approx(1.25, rel=1e-5)
+        def slow(
+            by_name: dict[str, np.ndarray], unit: float = unit
+        ) -> tuple[float, dict[str, np.ndarray]]:
+            return unit * (2.5 + by_name["velocity"][0]), {"velocity": unit * np.array([1.0, 0.0])}
+
+        bound = optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, [slow], starts=2)
+        assert bound.values["velocity"][0] == pytest.approx(-2.5, rel=1e-5)
+        assert bound.value == pytest.approx(1.25, rel=1e-5)
 
     def never(by_name: dict[str, np.ndarray]) -> tuple[float, dict[str, np.ndarray]]:
         return -1.0, {"velocity": np.zeros(2)}
@@ -459,6 +464,17 @@ def test_an_unreachable_tolerance_is_reported_with_the_best_value():
         ({"parameters": None}, r"parameters: must be one or more names of parameters"),
         ({"constraints": 3}, r"constraints: must be a list of functions \(got 3\)"),
         ({"constraints": [3]}, r"constraints: must be a list of functions"),
+        ({"constraints": [lambda v: 1.0]}, r"constraints: must return a number and its deriva"),
+        ({"constraints": [lambda v: ([1.0, 2.0], {})]}, r"constraints: must return a number and"),
+        (
+            {"constraints": [lambda v: (1.0, {"velocty": 1.0})]},
+            r"constraints: return a derivative by 'velocty', which is not one of the parameters",
+        ),
+        (
+            {"constraints": [lambda v: (1.0, {"velocity": [1.0, 2.0, 3.0]})]},
+            r"constraints: must return 2 derivatives by velocity \(got 3\)",
+        ),
+        ({"bounds": {"velocity": np.array(3.0)}}, r"bounds: give a lower and an upper bound of v"),
     ],
 )
 def test_tasks_that_are_none_are_refused(change: dict[str, Any], message: str):
