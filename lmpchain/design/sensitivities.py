@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -165,7 +166,7 @@ class Sensitivity(Tabular):
         ax = chart(ax, "grain", "change for 1 % more, %")
         size = abs(self.value) or 1.0
         last = 0
-        colours = iter(COLOURS.values())
+        colours = cycle(COLOURS.values())
         for name, change in self.relative.items():
             if change.size <= 2:
                 continue

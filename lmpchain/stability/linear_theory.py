@@ -137,14 +137,23 @@ def strike_number_where(error: float, scene: Scene) -> float:
         delta = scene.chain.law.power_of("the law of struck columns")
         return strike_number_at(error, "package", delta)
     number = min(WEAK, scene.strike_number)
+    # The estimate is proportional to the strike number; or to its square, if the force is an odd
+    # function of the displacement from rest. The secant in logarithms meets both.
+    power = 2.0
+    before = None
     for _ in range(20):
         excitation = scene.excitation.scaled(number / (scene.strike_number or 1.0))
         weaker = Scene(**scene.given() | {"excitation": excitation})
         estimate = Chebyshev().look(weaker.reached).error
         if not estimate:
             return np.inf
-        # The estimate is proportional to the strike number or to its square.
-        number *= error / estimate
+        if abs(estimate / error - 1) < 1e-12:
+            break
+        if before is not None:
+            growth = math.log(number / before[0])
+            power = float(np.clip(math.log(estimate / before[1]) / growth, 1.0, 2.0))
+        before = number, estimate
+        number *= (error / estimate) ** (1 / power)
     return number
 
 

@@ -256,8 +256,17 @@ class EnergyError:
         moves slowly between modes, so that consecutive means are correlated. If their correlation
         is r, n means count as n (1 - r) / (1 + r) independent ones; B. D. Santer et al., J.
         Geophys. Res. 105, 7337 (2000).
+
+        Raises
+        ------
+        InputError
+            If there are fewer samples than time intervals.
         """
         from scipy import stats
+
+        if self.time.size < BLOCKS:
+            message = f"must be {BLOCKS} or more to show a trend (got {self.time.size})"
+            raise InputError.at("samples", message)
 
         used = self.time.size // BLOCKS * BLOCKS
         time, error = (x[-used:].reshape(BLOCKS, -1).mean(1) for x in (self.time, self.error))
@@ -299,12 +308,15 @@ def energy_error(
     Raises
     ------
     InputError
-        If nothing compresses the chain at rest, or the step is not stable there.
+        If nothing compresses the chain at rest, the step is not stable there, or the scene has no
+        energy.
     RunFailed
         If the run breaks down.
     """
     if not scene.chain.compressed:
         raise InputError.at("gravity", "a chain without gravity and load has no band edge")
+    if scene.at_rest:
+        raise InputError.at("excitation", "gives the chain no energy: strike or displace a grain")
     # This import is local, because the simulation room imports warnings of this room.
     from ..simulation.api import simulate
 

@@ -199,6 +199,9 @@ def test_a_picture_has_the_change_in_percent_along_the_chain():
     far = shown()
     far.relative["diameters"] = np.array([1.0, 0.0, 0.9e-3, 0.0, 1.1e-3, 0.9e-3])
     assert far.plot().get_xlim() == (0.5, 4 + 2.5)
+    # There may be more parameters than colours.
+    far.relative.update({f"chain.law.c{n}": np.ones(3) for n in range(len(COLOURS))})
+    assert len(far.plot().lines) == len(COLOURS) + 3
 
 
 @pytest.mark.parametrize(

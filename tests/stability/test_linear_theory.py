@@ -24,7 +24,7 @@ from laws.theory_errors import (
     uniform_error,
 )
 
-from lmpchain import Chain, Displacement, Impulse, InputError
+from lmpchain import Chain, Displacement, Impulse, InputError, Law
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.engines.linear.model_error import expected_error, passage
 from lmpchain.stability import linear_theory
@@ -209,6 +209,21 @@ def test_fig_5_is_beyond_linear_theory(name, error):
     scene = paper(name, 101)
     assert linear_error(scene)["velocity"] == pytest.approx(error, abs=0.01)
     assert scene.strike_number > 3 * linear_theory.strike_number_at(0.1, "velocity")
+
+
+def test_the_strike_of_an_error_that_grows_with_its_square():
+    """The force of the contacts is an odd function around rest, and linear for Hertz's law."""
+    hertz = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=0.1)
+    odd = hertz.replace(law=Law("k*o + c*(o - b)**3", k=1e6, c=1e18, b=1e-7))
+    for chain, power in ((hertz, 1), (odd, 2)):
+        scene = struck(chain, 1e-5, 3e-5)
+        scene = scene.replace(excitation=Impulse(velocity=1e-5, grain=3))
+        numbers = [linear_theory.strike_number_where(error, scene) for error in (1e-4, 1e-2)]
+        assert numbers[1] / numbers[0] == pytest.approx(100 ** (1 / power), rel=0.3)
+        for number, error in zip(numbers, (1e-4, 1e-2), strict=True):
+            stronger = scene.excitation.scaled(number / scene.strike_number)
+            found = Chebyshev().look(scene.replace(excitation=stronger).reached).error
+            assert found == pytest.approx(error, rel=1e-6)
 
 
 def test_numbers_outside_their_range_are_refused():

@@ -251,6 +251,10 @@ def test_the_energy_of_a_sonic_vacuum_has_no_period():
     )
     with pytest.raises(InputError, match="has no band edge"):
         energy_error(vacuum, "rkn6", 1e-8, 10)
+    with pytest.raises(InputError, match="excitation: gives the chain no energy"):
+        energy_error(struck(LOADED, 0.0, 1e-5), "rkn6", 1e-8, 10)
+    with pytest.raises(InputError, match=r"samples: must be 50 or more .* \(got 21\)"):
+        energy_error(struck(LOADED, 1e-6, 1e-5), "rkn6", 1e-7, 1, 21).trend()
 
 
 # --- contacts that open
