@@ -11,7 +11,7 @@ from .. import engines
 from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene, check_scene
-from ..util.arrays import Array
+from ..util.arrays import Array, numbers
 from ..util.plotting import Axes, chart, finish
 from ..util.tabular import Tabular
 from .averages import Average, Draw, StreamedAverages, draw_mean, take_average
@@ -79,9 +79,10 @@ class Spreading(StreamedAverages, Tabular):
         Raises
         ------
         InputError
-            If the interval contains fewer than three samples.
+            If the interval contains fewer than three samples, or if an end is not a number.
         """
-        within = (self.time >= start) & (self.time <= end) & (self.time > 0)
+        low, high = numbers(start, "start"), numbers(end, "end")
+        within = (self.time >= low) & (self.time <= high) & (self.time > 0)
         if within.sum() < 3:
             message = f"must leave three samples or more up to the end (got {shown(start)})"
             raise InputError.at("start", message)

@@ -219,9 +219,24 @@ def test_pictures_have_labels(rng: np.random.Generator) -> None:
     number = MeasuredEnsemble(rng.normal(size=30), None, 0.0, 0.0)
     axes = number.plot(label="speed (m/s)")
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("speed (m/s)", "number of chains")
+    marks = [number.values.mean(), *np.quantile(number.values, (0.05, 0.95))]
+    assert [line.get_xdata()[0] for line in axes.lines] == pytest.approx(marks, rel=1e-12)
+    assert [line.get_label() for line in axes.lines] == ["mean", "5 % below", "95 % below"]
+    assert sum(bar.get_height() for bar in axes.containers[0]) == 30
+    ends = next(patch for patch in axes.patches if patch.get_label() == "95 %").get_extents()
+    shown = axes.transData.inverted().transform_bbox(ends)
+    assert (shown.x0, shown.x1) == pytest.approx(number.interval, rel=1e-9)
     curve = MeasuredEnsemble(rng.normal(size=(30, 5)), np.arange(5.0), 0.0, 0.0)
     axes = curve.plot(label="force (N)", x_label="time (s)")
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time (s)", "force (N)")
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), curve.values.mean(0), rtol=1e-12)
+    bands = {band.get_label(): band.get_datalim(axes.transData) for band in axes.collections}
+    quantiles = np.quantile(curve.values, (0.05, 0.95), axis=0)
+    for label, (low, high) in (
+        ("5 to 95 % of the chains", quantiles), ("mean, 95 %", curve.interval)
+    ):  # fmt: skip
+        assert (bands[label].y0, bands[label].y1) == pytest.approx((low.min(), high.max()))
+        assert (bands[label].x0, bands[label].x1) == (0, 4)
     with pytest.raises(InputError, match="select a curve"):
         MeasuredEnsemble(rng.normal(size=(4, 3, 2)), None, 0.0, 0.0).plot()
 

@@ -162,6 +162,7 @@ def test_chains_with_random_grains(of):
         (lambda: spreading(scene(), 3, 2, 1, of="colour"), "of"),
         (lambda: spreading(scene(), 3, 2, 1, "lammps"), "engine"),
         (lambda: spreading(scene(), 3, 2, 1).growth(1.0), "start"),
+        (lambda: spreading(scene(), 3, 2, 1).growth(0.0, "1"), "end"),
         (
             lambda: spreading(
                 scene(contact_constants=np.full(80, 1e9)), 3, 2, 1, of="youngs_modulus"

@@ -111,7 +111,8 @@ def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.Mo
     few, many = (arrays(numbers_of(tmp_path / f"{name}.html")) for name in ("tight", "free"))
     assert few["time"].size < many["time"].size
     monkeypatch.setattr(exploration, "PAGE", tight._replace(size=30_000))
-    with pytest.raises(InputError, match="over: 12 runs do not fit into a page of 2 MB"):
+    fewer = r"over: 12 runs do not fit into a page of 2 MB: choose about ([1-9]|1[01])$"
+    with pytest.raises(InputError, match=fewer):
         lmpchain.explore(source, tmp_path / "none.html")
     assert not (tmp_path / "none.html").exists()
 
@@ -184,8 +185,8 @@ def test_a_slider_starts_at_the_value_nearest_to_the_scene(velocity: float, star
     [
         ([1.0, 2.0, 4.0], True),
         ([1.0, 2.0, 4.001], False),
-        ([1.0, 2.0, 99.0], False),
-        ([1.0, 2.0, 100.5], True),
+        ([2.0, 4.1, 199.0], False),
+        ([2.0, 4.1, 200.5], True),
         ([0.0, 1.0, 200.0], False),
         ([1.0, 200.0], False),
     ],
