@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..engines import class_of
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
@@ -262,7 +262,18 @@ def compare(
     Returns
     -------
     Comparison
+
+    Raises
+    ------
+    InputError
+        If an argument is of another type, or as for `errors`.
     """
+    several = isinstance(trajectories, list | tuple) and len(trajectories) > 0
+    if not several or not all(isinstance(answer, Trajectory) for answer in trajectories):
+        message = f"must be a list of one trajectory or more (got {shown(trajectories)})"
+        raise InputError.at("trajectories", message)
+    if not isinstance(reference, Reference):
+        raise InputError.at("reference", f"must be a reference solution (got {shown(reference)})")
     rows = tuple(_row(answer, reference) for answer in trajectories)
     if lossless is None:
         return Comparison(reference, tuple(trajectories), rows)

@@ -120,6 +120,11 @@ def test_incomparable_trajectories_are_rejected():
         errors(answer, replace(truth, time=truth.time[:2]))
     with pytest.raises(InputError, match="grains"):
         errors(answer, replace(truth, displacement=np.zeros((3, 5)), velocity=np.zeros((3, 5))))
+    for wrong in ([], answer, [answer, None]):
+        with pytest.raises(InputError, match=r"^trajectories: must be a list of one trajectory"):
+            compare(wrong, truth)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^reference: must be a reference solution \(got None"):
+        compare([answer], None)  # type: ignore[arg-type]
 
 
 def test_rows_contain_the_numbers_of_the_trajectories():
