@@ -794,8 +794,9 @@ def _change_of_power(
     by_base = build("growth", divide(changes[0], base), after[exponent])
     by_exponent = build("expm1", multiply(build("log", base), changes[1]))
     grows = add(by_base, multiply(by_exponent, add(ONE, by_base)))
-    # A base of 0 at rest has no relative change.
-    return build("select", subtract(base, NEARLY_ZERO), multiply(node, grows), after[node])
+    # A base that is 0 at rest, or changes its sign, has no growth.
+    grown = subtract(multiply(base, after[base]), NEARLY_ZERO)
+    return build("select", grown, multiply(node, grows), subtract(after[node], node))
 
 
 # A value, its change, and the changed value.

@@ -248,6 +248,28 @@ def test_values_slopes_and_changes_equal_those_in_40_digits(text: str) -> None:
     assert found == pytest.approx(np.array(differences), rel=3e-12, abs=1e-30)
 
 
+@pytest.mark.parametrize("power", [3, 2, 1, -3])
+def test_a_whole_power_may_be_a_parameter(power: int) -> None:
+    """Bases of either sign, which may change their sign, have real whole powers."""
+    law = Law("k*(2*o - 0.3)**p", k=K, p=[power, 1.5, power])
+    rests = np.array([-0.4, 0.2, 0.9])[:, None, None] * np.ones(3)
+    changes = np.array([-1.7, -1e-9, 1e-12, 0.3, 1.1])[:, None]
+    contacts = SimpleNamespace(overlap=rests, constant=K)
+    written = Law(f"k*(2*o - 0.3)**{power}", k=K).force_change(contacts, changes)
+    found = law.force_change(contacts, changes)
+    assert found[..., [0, 2]] == pytest.approx(written[..., [0, 2]], rel=1e-9)
+
+
+def test_energies_beyond_distant_kinks_have_closed_forms() -> None:
+    law = Law("max(o - 3, 0)**2 - 2*max(-2 - o, 0) + min(o, 7)")
+    energy = law.lepton(overlap="r").replace("^", "**")
+    for o in (-6.0, -2.5, -1.0, 2.0, 4.0, 9.0):
+        exact = max(o - 3, 0) ** 3 / 3 + max(-2 - o, 0) ** 2 + min(o, 7) ** 2 / 2
+        exact += 7 * max(o - 7, 0)
+        assert eval(energy, LEPTON | {"r": o}) == pytest.approx(exact, rel=1e-14)
+        assert law.energy(o) == pytest.approx(exact, rel=1e-12)
+
+
 SHAPES = [  # Onset, and whether contacts pull and bond.
     ("max(o, 0)**1.5*(1 + 3*o)", 1.5, False, False),
     ("max(o, 0)**0.6", 0.6, False, False),
