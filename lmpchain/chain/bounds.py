@@ -70,9 +70,11 @@ def least_compression(
 ) -> float:
     """Return a lower bound on the largest relative overlap of a long chain, without arrays.
 
-    The bound is 0 for a chain with affordable arrays.
+    The bound is 0 for a chain with affordable arrays, and for a law with its own constant or with
+    parameters of each contact.
     """
-    if grains < LIMITS.long_chain:
+    own = law.given_constant is not None or any(map(np.ndim, law.parameters))
+    if grains < LIMITS.long_chain or own:
         return 0.0
     # With I impurities, one of the 2 I + 1 lowest contacts is between two common grains, and at
     # most I grains above it are impurities.

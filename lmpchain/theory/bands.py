@@ -101,14 +101,17 @@ class Cell:
         )
         chain.refuse_loose("theory of bands")
         # The last contact has the ratio of given constants to those of Hertz's law; a single grain
-        # has none.
+        # has none. A law with its own constant and parameters applies them here as at a wall.
         ends = [-2, -1, 0][-chain.grains - 1 :]
         d = chain.diameters[ends]
         modulus = chain.by_grain("plane_strain_modulus")[ends]
         length = (d[:-1] + d[1:]) / 2
         natural = chain.law.constant(pair_value(modulus), pair_value(d / 2), length)
-        constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
-        closing = Contacts.at_rest(np.array([constant]), np.array([chain.top_load]), chain.law)
+        constant = natural[-1:] * np.prod(chain.contact_constants[-1:] / natural[:-1])
+        if chain.law.given_constant is not None:
+            constant = chain.law.given_constant[-1:]
+        law = chain.contact_law.of(np.array([chain.grains]))
+        closing = Contacts.at_rest(constant, np.array([chain.top_load]), law)
         stiffness = np.append(chain.linear_stiffness, closing.stiffness)
         # The closing contact has the viscosity of the contact next to it, like a wall contact.
         viscosity = chain.contact_viscosity[1:]

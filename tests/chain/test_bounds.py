@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from lmpchain import Chain, Impulse, Impurity, Scene
+from lmpchain import Chain, Impulse, Impurity, Law, Scene
+from lmpchain.chain.bounds import least_compression
+from lmpchain.chain.contact_law import power_law
+from lmpchain.chain.materials import GLASS, kinds
 from lmpchain.util.validation import make_unchecked
 
 
@@ -80,3 +83,21 @@ def test_bounds_are_close_for_the_column_of_the_paper():
 )
 def test_listed_grains_have_no_bounds(fields: dict[str, list[float]]):
     assert Chain(**{"grains": 5, "diameter": 1e-3} | fields).bounds is None
+
+
+def test_least_compressions_of_long_chains() -> None:
+    """The bound is the compression by the load and the common grains; other laws may be stiffer."""
+    odd = (Impurity(grain=3, mass=1.0),)
+    few = kinds(GLASS, 1e-3, odd)
+    hertz = power_law(1.5)
+    modulus = 62e9 / (1 - 0.2**2)
+    constant = 4 / 3 * modulus / 2 * np.sqrt(1e-3 / 4)
+    force = 2.0 + 9.81 * (10**6 - 3 * 2) * 2426.0 * np.pi / 6 * 1e-9
+    expected = (force / constant) ** (2 / 3) / 1e-3
+    assert least_compression(few, 10**6, 2.0, 9.81, hertz) == pytest.approx(expected, rel=1e-12)
+    assert least_compression(few, 10**6 - 1, 2.0, 9.81, hertz) == 0.0
+    text = "k*max(o, 0)**1.5*c"
+    same = Law(text, c=1.0)
+    assert least_compression(few, 10**6, 2.0, 9.81, same) == pytest.approx(expected, rel=1e-12)
+    for own in (Law(text, c=1.0, k=1e12), Law(text, c=[1.0, 2.0])):
+        assert least_compression(few, 10**6, 2.0, 9.81, own) == 0.0

@@ -138,6 +138,13 @@ def test_a_chain_as_a_cell():
     assert cell.stiffness == pytest.approx(twice.linear_stiffness[:3], rel=1e-12)
     given = Cell.of(Chain(grains=3, **kinds, contact_constants=2 * twice.contact_constants[:2]))
     assert given.stiffness == pytest.approx(cell.stiffness * 2 ** (2 / 3), rel=1e-12)
+    # A law with its own constant and parameters applies those of the last contact.
+    for grains, k, c in ((3, 1e6, 0.0), (3, [1e6, 2e6], [0.0, 0.5]), (1, 1e6, 0.5)):
+        alike = {} if grains == 3 else {"material": "steel", "diameter": 1e-3, "bottom": "wall"}
+        chain = Chain(grains=grains, law=Law("k*o*(1 + c)", k=k, c=c), **kinds | alike)
+        last = np.ravel(k)[-1] * (1 + np.ravel(c)[-1])
+        expected = [*np.resize(k, 2) * (1 + np.resize(c, 2)), last][3 - grains :]
+        assert Cell.of(chain).stiffness == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("exponent", [1.5, 2.5])
