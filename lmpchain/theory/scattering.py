@@ -33,6 +33,8 @@ from .domain import real, require, whole
 
 __dir__ = listed(__name__)
 
+# Relative difference of grains and contacts that counts as 0.
+NEGLIGIBLE = 1e-9
 Complex = NDArray[np.complex128]
 Property = Literal["diameter", "mass", "youngs_modulus"]
 
@@ -276,13 +278,16 @@ def transparent(
     mirror = [numbers[0] + numbers[-1] - n for n in numbers[::-1]] if numbers else None
     symmetric = numbers == mirror and len(set(numbers)) == len(numbers)
     inside = all(3 <= n <= chain.grains - 2 for n in numbers)
-    uniform = not chain.impurity and isinstance(chain.diameter, float)
+    # Contacts under gravity are reported as a fault of their own.
+    rows = [chain.masses] if chain.gravity else [chain.masses, chain.linear_stiffness]
+    even = all(np.abs(x - x[:1]).max(initial=0.0) <= NEGLIGIBLE * x.max(initial=0.0) for x in rows)
+    uniform = not chain.impurity and even
     low, high = between
     leads = f"must be from 3 to {chain.grains - 2}, so that the leads begin where the chain is"
     kinds = not_among(vary, get_args(Property))
     factors = f"must be two factors above 0, the smaller one first (got {between!r})"
     require(
-        ("chain", uniform, "must be uniform, with no impurity"),
+        ("chain", uniform, "must be uniform, with equal grains and contacts"),
         ("gravity", chain.gravity == 0, "must be 0, so that the leads are alike"),
         ("grains", symmetric, "must be their own mirror image, as 5 and 6, or 4, 5, 6"),
         ("grains", inside, f"{leads} uniform"),
@@ -316,8 +321,9 @@ def _change(chain: Chain, grains: Sequence[int], vary: Property, factor: float) 
         diameters = chain.diameters
         impurities = [Impurity(grain=n, diameter=float(diameters[n - 1]) * factor) for n in grains]
     else:
-        # A uniform chain has a single material.
         material: Any = chain.material
+        # A uniform chain has a single material, which may be listed for every grain.
+        material = material[0] if isinstance(material, tuple) else material
         modulus = material.youngs_modulus * factor
         stiffer = material.replace(youngs_modulus=modulus)
         impurities = [Impurity(grain=n, material=stiffer) for n in grains]

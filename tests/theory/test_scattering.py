@@ -1,11 +1,13 @@
 """Scattering of linear waves: closed forms, a dense linear solve, conservation, refusals."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from helpers.faults import faults
 from scipy.optimize import brentq
 
-from lmpchain import Chain, Impulse, InputError, Scene
+from lmpchain import Chain, Impulse, InputError, Law, Scene
 from lmpchain.design.parameters import check
 from lmpchain.disorder.draws import disordered
 from lmpchain.theory.scattering import transmission, transparent
@@ -263,10 +265,6 @@ def test_the_message_about_the_band_edge():
             ),
             "chain",
         ),
-        (
-            lambda: transparent(Chain(**HOST.given() | {"diameter": [1e-3] * 11}), 1e5, [5, 6]),
-            "chain",
-        ),
         (lambda: transmission(Chain(grains=1, bottom="wall", **LOADED), 1.0), "grains"),
         (lambda: transparent(Chain(grains=11, diameter=1e-3), 1e5, [5, 6]), "gravity"),
         (
@@ -278,6 +276,28 @@ def test_the_message_about_the_band_edge():
 def test_refusals(call, key: str):
     with pytest.raises(InputError, match=f"^{key}: "):
         call()
+
+
+UNEVEN: list[dict[str, Any]] = [
+    {"material": ["glass"] * 10 + ["steel"]},
+    {"diameter": [*[1e-3] * 10, 1.01e-3]},
+    {"masses": [*[1e-6] * 10, 1.01e-6]},
+    {"contact_constants": [*[1e9] * 9, 1.01e9]},
+    {"law": Law("k*o*c", c=[*[1.0] * 9, 1.01])},
+]
+
+
+@pytest.mark.parametrize("uneven", UNEVEN)
+def test_only_equal_grains_and_contacts_are_a_uniform_chain(uneven: dict[str, Any]) -> None:
+    chain = HOST.replace(**uneven)
+    message = "must be uniform, with equal grains and contacts"
+    assert faults(transparent, chain, 0.5 * EDGE, [5, 6]) == [("chain", message)]
+    if "material" in uneven:  # Equal materials may be listed.
+        listed = HOST.replace(material=["glass"] * 11)
+        found, expected = (
+            transparent(one, 0.62 * EDGE, [5, 6], "youngs_modulus") for one in (listed, HOST)
+        )
+        assert found == pytest.approx(expected, rel=1e-10)
 
 
 def test_the_former_name_of_a_modulus_is_rejected_with_the_current_name(rng):
