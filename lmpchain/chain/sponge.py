@@ -21,6 +21,7 @@ from ..errors import InputError
 from ..util.arrays import Array
 from .chain import Chain
 from .damping import Damping
+from .law import Law
 
 Complex = NDArray[np.complex128]
 
@@ -206,7 +207,8 @@ def period(chain: Chain, end: str) -> int:
     """Return the period of the grains at an end; 1 if they are not periodic."""
     # The drag of an existing absorbing layer is not periodic, so it is ignored.
     fields = _values_of_all(chain) | {"drag": 0.0, "ground": chain.ground_stiffness}
-    rows = [row for row in fields.values() if isinstance(row, tuple | np.ndarray)]
+    of_laws = [value for law in _laws(chain).values() for value in law.given.values()]
+    rows = [x for x in (*fields.values(), *of_laws) if isinstance(x, tuple | np.ndarray)]
     window = 2 * GRADING.longest_cell
     tails = [list(row[::-1] if end == "top" else row)[-window:] for row in rows]
     for length in range(1, GRADING.longest_cell + 1):
@@ -259,6 +261,15 @@ def _values_of_all(chain: Chain) -> dict[str, Any]:
     return lists | {"viscoelastic": chain.damping.viscoelastic, "drag": chain.damping.drag}
 
 
+def _laws(chain: Chain) -> dict[str, Law]:
+    """Return the laws of contacts and ground that are given by formulas, by the name of the field.
+
+    Their parameters may be lists for contacts or grains.
+    """
+    laws = {"law": chain.law, "ground": chain.ground}
+    return {key: law for key, law in laws.items() if isinstance(law, Law)}
+
+
 def _longer(chain: Chain, sizes: dict[str, int], cells: dict[str, int]) -> Chain:
     """Return a chain whose pattern is continued by these numbers of grains."""
     top = sizes["top"]
@@ -274,6 +285,8 @@ def _longer(chain: Chain, sizes: dict[str, int], cells: dict[str, int]) -> Chain
         return values[number] if isinstance(values, np.ndarray) else [values[n] for n in number]
 
     lists = {key: go_on(values) for key, values in _values_of_all(chain).items()}
+    for key, law in _laws(chain).items():
+        lists[key] = law.replace(**{name: go_on(value) for name, value in law.given.items()})
     damping = Damping(viscoelastic=lists.pop("viscoelastic"), drag=lists.pop("drag"))
     impurity = [one.replace(grain=one.grain + top) for one in chain.impurity]
     fields = chain.given() | lists | {"grains": chain.grains + top + sizes["bottom"]}

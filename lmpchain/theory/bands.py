@@ -363,7 +363,7 @@ def gaps(cell: Cell | Chain) -> Array:
 
 
 def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int = 8) -> int:
-    """Return the period in grains of masses and contact constants; 1 if they never repeat.
+    """Return the period of masses, contacts and ground in grains; 1 if they never repeat.
 
     Parameters
     ----------
@@ -386,10 +386,13 @@ def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int =
     3
     """
     last = chain.grains if last is None else last
-    rows = [
-        np.log(chain.masses[first - 1 : last]),
-        np.log(chain.contact_constants[first - 1 : last - 1]),
-    ]
+    grains = slice(first - 1, last)
+    contacts = slice(first - 1, last - 1)
+    rows = [np.log(chain.masses[grains]), np.log(chain.contact_constants[contacts])]
+    # Parameters and stiffnesses may be 0 or negative.
+    listed_values = [x[contacts] for x in chain.law.parameters if np.ndim(x)]
+    for x in (*listed_values, chain.ground_stiffness[grains]):
+        rows.append(x / (np.abs(x).max(initial=0.0) or 1.0))
     for period in range(1, min(most, (last - first + 1) // 2) + 1):
         if all(np.abs(x[period:] - x[:-period]).max(initial=0.0) < NEGLIGIBLE for x in rows):
             return period

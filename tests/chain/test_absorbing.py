@@ -132,6 +132,22 @@ def test_added_layers_continue_the_pattern_of_the_chain():
     assert patterns.absorbing(odd, bottom=60, top=60).impurity[0].grain == 75
 
 
+def test_listed_parameters_of_laws_continue() -> None:
+    """Alternating springs and grounds are continued like the contact constants of such a chain."""
+    stiff = np.resize([1e6, 3e6], 29)
+    ground = np.resize([2e5, 1e5], 30)
+    fields = {**PRESSED, "grains": 30, "diameter": 1e-2}
+    chain = Chain(**fields, law=lmpchain.Law("k*o*c", k=1e6, c=stiff / 1e6), ground=GROUND)
+    longer = patterns.absorbing(chain.replace(ground=GROUND.replace(k=ground)), bottom=90, top=90)
+    assert longer.linear_stiffness == pytest.approx(np.resize([1e6, 3e6], 209), rel=1e-13)
+    assert longer.ground_stiffness.tolist() == np.resize([2e5, 1e5], 210).tolist()
+    linear = Chain(**fields, exponent=1.0, contact_constants=stiff, ground=GROUND)
+    expected = patterns.absorbing(linear, bottom=90)
+    # The wall constants differ, and the end of the layer hardly matters.
+    found = patterns.absorbing(chain, bottom=90)
+    assert found.drag == pytest.approx(expected.drag, rel=0.05)
+
+
 def test_a_short_layer_states_its_reflection_and_has_the_drag_of_a_power():
     with pytest.warns(UserWarning, match="absorbing layer of 12 grains") as told:
         absorbs = patterns.absorbing(DIMER, bottom=12)

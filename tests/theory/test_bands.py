@@ -155,6 +155,23 @@ def test_a_chain_of_one_grain_as_a_cell(exponent: float):
     assert cell.stiffness == pytest.approx(two.linear_stiffness, rel=1e-13)
 
 
+def test_parameters_of_contacts_and_a_ground_may_repeat() -> None:
+    """Factors c of the stiffness, or springs of the ground, make a uniform chain diatomic."""
+    fields = {"grains": 12, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
+    mass = Chain(**fields).masses[0]
+    k = np.array([1e6, 2e6])
+    given = Chain(**fields, law=Law("k*o*c", c=np.resize([1.0, 2.0], 11), k=1e6))
+    edges = np.sqrt([0.0, 2 * k[0] / mass, 2 * k[1] / mass, 2 * k.sum() / mass])
+    held = Chain(**fields, law=Law("k*o", k=1e6), ground=Law("s*u", s=np.resize([1e5, 3e5], 12)))
+    mean = (2e5 + 2e6) / mass
+    apart = np.sqrt(1e5**2 + 2e6**2) / mass
+    on_ground = np.sqrt([mean - apart, 2.1e6 / mass, 2.3e6 / mass, mean + apart])
+    for chain, expected in ((given, edges), (held, on_ground)):
+        assert repeating(chain) == 2
+        assert local_bands(chain)[5].ravel() == pytest.approx(expected, rel=1e-12, abs=1e-3)
+    assert repeating(given.replace(law=Law("k*o*c", c=np.arange(11.0) + 1, k=1e6))) == 1
+
+
 def period_of(masses, constants, first: int, last: int, most: int) -> int:
     """Return the period by comparing one grain after the other."""
     grains = range(first, last + 1)
