@@ -295,7 +295,7 @@ def _complain(path: str | PathLike[str], reason: object) -> None:
     folder = Path(path).parent
     if folder not in _complained:
         _complained.add(folder)
-        why = getattr(reason, "strerror", None) or reason or type(reason).__name__
+        why = getattr(reason, "strerror", None) or str(reason) or type(reason).__name__
         warn(
             f"{path}: compiled code cannot be used or stored there ({why}), and compiling it takes "
             f"minutes: free space in {folder}, remove damaged files, or set NUMBA_CACHE_DIR",

@@ -109,7 +109,7 @@ def _obey(world: Any, workers: list[Worker], name: str, values: tuple[Any, ...])
         if shared or isinstance(error, EngineUnavailable | RunFailed):
             return error
         # The other ranks are waiting inside LAMMPS for this rank.
-        mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")
+        mpi.abort(world, f"rank {world.rank}: {str(error) or type(error).__name__}")
 
 
 def _by_lammps(error: Exception) -> bool:

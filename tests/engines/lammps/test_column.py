@@ -22,7 +22,6 @@ from lmpchain import (
     InputError,
     RunFailed,
     ToleranceNotMet,
-    simulate,
 )
 from lmpchain.engines import Lammps
 from lmpchain.engines.base import ErrorBudget
@@ -217,8 +216,6 @@ def test_remarks_at_the_head_of_a_deck():
 def test_invalid_options():
     with pytest.raises(InputError, match="diameter: must be auto"):
         Lammps(diameter="small")
-    with pytest.raises(InputError, match="ranks: must be at most one per grain, 25 "):
-        simulate(small(), "lammps", ranks=26)
     for options in ({"keep": "x"}, {"keep": "x", "include": __file__}):
         kept = Lammps("verlet", **options)
         assert kept.whole

@@ -156,8 +156,6 @@ def test_unsupported_damping_is_rejected():
     scene = struck(Chain(**UNIFORM, damping={"drag": np.arange(12.0)}), 1e-3, 3e-5, 7)
     with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS supports one number"):
         simulate(scene, engine="lammps")
-    with pytest.raises(InputError, match="damping requires verlet"):
-        simulate(struck(CHAINS["viscous"], 1e-3, 3e-5, 7), engine=Lammps("rkn6"))
     with pytest.raises(InputError, match="lagged-verlet is a method for chains with damping: use "):
         simulate(struck(Chain(**UNIFORM), 1e-3, 3e-5, 7), engine=Native("lagged-verlet"))
 

@@ -256,26 +256,6 @@ def test_a_resumed_run_gives_the_same_bits(
     assert np.array_equal(answer.velocity[:], whole.velocity)
 
 
-REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], Any, str]] = {
-    "pair style": ({}, {"pair_style": "gran/hertz/history"}, STRIKE, "leave it out"),
-    "no closed energy": (
-        {"law": Law("k*tanh(b*o)*exp(-(b*o)**2)*(1 + o**2)", k=K, b=1e3)},
-        {},
-        STRIKE,
-        "no energy in closed form",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_unsupported_features_are_rejected_in_one_line(name: str):
-    chain, options, excitation, message = REFUSED[name]
-    made = Chain(**ROW | {"law": CUBIC, "gravity": 9.81} | chain)
-    scene = Scene(chain=made, excitation=excitation, duration=1e-5, samples=3)
-    with pytest.raises(InputError, match=message):
-        simulate(scene, Lammps("verlet", step=1e-7, **options))
-
-
 @pytest.mark.parametrize("name", some(("toda under gravity", "walls", "drag", BOTH)))
 def test_a_deck_is_read_back_with_its_scene(name: str, tmp_path: Path):
     scene, step = case(name)

@@ -1,14 +1,17 @@
 """One column on several ranks: identical bytes, and a message when a rank fails."""
 
 import os
+import pickle
 import signal
 import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from contextlib import suppress
-from itertools import cycle, product
+from itertools import cycle, pairwise, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,16 +32,18 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Lammps
-from lmpchain.engines.lammps import communicators
+from lmpchain.engines.lammps import communicators, library, subprocess_ranks
 from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.stepper import LammpsStepper
 from lmpchain.engines.lammps.subprocess_ranks import Communicator, SubprocessRanks
+from lmpchain.engines.lammps.worker import StepPlan
 from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.integrators.steps import Steps
 from lmpchain.util import mpi
 
 MPIEXEC = mpi.launcher()
+RANKS = subprocess_ranks.__name__
 # The strike is beside the border between two ranks, and the wave crosses the border.
 MIDDLE = scene_of(column(60, material="glass"), Impulse(velocity=8.57e-4, grain=29), 4e-5, 9)
 LOADED = Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, bottom="wall")
@@ -108,6 +113,201 @@ def test_two_ranks_give_the_bits_of_one_and_report_errors():
     finally:
         ranks.close()
     until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in ranks.pids))
+
+
+class World:
+    """An MPI world whose other ranks are messages in a list and lists of answers."""
+
+    rank, size = 1, 3
+
+    def __init__(self, *messages: tuple[str, tuple[Any, ...]]):
+        self.messages = list(messages)
+        self.sent: list[Any] = []
+        self.answers: list[Any] = []
+        self.others: list[Any] = [None, None]
+
+    def iprobe(self, source: int) -> bool:
+        assert source == 0
+        return bool(self.messages)
+
+    def recv(self, source: int) -> Any:
+        assert source == 0
+        return self.messages.pop(0)
+
+    def send(self, message: Any, rank: int) -> None:
+        self.sent.append((rank, message))
+
+    def gather(self, answer: Any) -> list[Any]:
+        self.answers.append(answer)
+        return [answer, *self.others]
+
+    def Abort(self, code: int) -> None:
+        raise SystemExit(code)
+
+
+class Obedient:
+    """A worker that raises what it is told to, and is opened in a world with a log."""
+
+    def __init__(self, *opened: Any):
+        self.opened = opened
+
+    def share(self) -> tuple[Any, ...]:
+        return self.opened
+
+    def commands(self, error: Exception) -> None:
+        raise error
+
+    def close(self) -> None:
+        self.opened = ()
+
+
+@pytest.fixture
+def _obedient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(communicators, "Worker", Obedient)
+    monkeypatch.setattr(mpi, "MESSAGE_S", 0.0)
+    handlers = {number: signal.getsignal(number) for number in library.SIGNALS}
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("_obedient")
+def test_ranks_answer_each_call_until_they_are_shut_down(capsys: pytest.CaptureFixture[str]):
+    """Errors that all ranks raise are answers; any other error aborts all ranks."""
+    failures = Exception("ERROR: Lost atoms"), EngineUnavailable("order"), RunFailed("lost grains")
+    world = World(
+        ("open", ("file.log",)),
+        ("share", ()),
+        *(("commands", (error,)) for error in failures),
+        ("close", ()),
+        ("close", ()),
+        ("shutdown_workers", ()),
+        ("share", ()),
+    )
+    communicators.worker_loop(world)
+    assert world.answers == [None, (world, "file.log"), *failures, None, None]
+    assert world.messages == [("share", ())]
+    assert {signal.getsignal(number) for number in library.SIGNALS} == {signal.SIG_IGN}
+    for error, message in (
+        (OSError("ERROR: disk"), "ERROR: disk"),
+        (Exception("a fault"), "a fault"),
+        (ZeroDivisionError(), "ZeroDivisionError"),
+    ):
+        world = World(("open", ("none",)), ("commands", (error,)))
+        with pytest.raises(SystemExit):
+            communicators.worker_loop(world)
+        assert capsys.readouterr().err == f"error: rank 1: {message}\n"
+
+
+@pytest.mark.usefixtures("_obedient")
+def test_the_first_rank_sends_each_call_to_the_others_and_raises_their_errors():
+    world = World()
+    ranks = communicators.MpiRanks(world, "none")
+    assert ranks.ranks == 3
+    world.others = ["two", "three"]
+    assert ranks.ask("share") == [(world, "none"), "two", "three"]
+    calls = ("open", ("none",)), ("share", ())
+    assert world.sent == [(rank, call) for call in calls for rank in (1, 2)]
+    unavailable = EngineUnavailable("no PIZZA package")
+    world.others = [None, unavailable]
+    with pytest.raises(EngineUnavailable) as raised:
+        ranks.ask("share")
+    assert raised.value is unavailable
+    world.others = [Exception("ERROR: Lost atoms"), None]
+    with pytest.raises(RunFailed, match=r"^LAMMPS stopped: ERROR: Lost atoms$"):
+        ranks.ask("share")
+    world.others = [None, None]
+    world.sent.clear()
+    ranks.close()
+    communicators.shutdown_workers(world)
+    last = ("close", ()), ("shutdown_workers", ())
+    assert world.sent == [(rank, call) for call in last for rank in (1, 2)]
+
+
+def test_signals_wait_for_the_end_of_a_block_unless_they_are_ignored():
+    arrived = []
+    handlers = {number: signal.getsignal(number) for number in library.SIGNALS}
+    try:
+        for number in library.SIGNALS:
+            signal.signal(number, lambda number, _: arrived.append(number))
+        with library.signals_blocked():
+            for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
+                signal.raise_signal(number)
+            assert arrived == []
+        # The first signal ends the run.
+        assert arrived == [signal.SIGTERM]
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with library.signals_blocked():
+            signal.raise_signal(signal.SIGINT)
+            assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+        assert arrived == [signal.SIGTERM]
+        # Other threads cannot handle signals.
+        entered = []
+        block = library.signals_blocked()
+        thread = threading.Thread(target=lambda: entered.append(block.__enter__()))
+        thread.start()
+        thread.join()
+        assert entered == [None]
+        signal.raise_signal(signal.SIGTERM)
+        assert len(arrived) == 2
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def test_another_user_cannot_answer_for_the_ranks(monkeypatch: pytest.MonkeyPatch):
+    """Data from the socket can run any code."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        line = subprocess_ranks._connect(ours)
+        theirs.sendall(b"\0\0\0\4" + pickle.dumps(7, 0)[:4])
+        assert line.recv() == 7
+        line.close()
+    ours, theirs = socket.socketpair()
+    monkeypatch.setattr(os, "getuid", lambda: -1)
+    with ours, theirs, pytest.raises(EngineUnavailable, match="another user answers"):
+        subprocess_ranks._connect(ours)
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        ([1], "starts 2 processes that cannot communicate: it belongs to another MPI"),
+        (None, "a rank of LAMMPS died, and all 2 ranks with it: no memory"),
+        (EngineUnavailable("no LAMMPS"), "^no LAMMPS$"),
+    ],
+)
+def test_answers_of_ranks_that_do_not_run(
+    answer: Any, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    fake = tmp_path / "mpiexec"
+    data = pickle.dumps(answer)
+    fake.write_text(
+        f"#!{sys.executable} -ES\n"
+        "import socket, sys\n"
+        f"assert sys.argv[1:3] == ['-n', '2'] and sys.argv[4:6] == ['-m', {RANKS!r}]\n"
+        "sys.stderr.write('error: no memory\\n')\n"
+        "end = socket.socket(socket.AF_UNIX)\n"
+        "end.connect('\\0' + sys.argv[-1])\n"
+        + f"end.sendall({len(data).to_bytes(4)!r} + {data!r}); end.recv(1)\n"
+        * (answer is not None)
+    )
+    fake.chmod(0o755)
+    monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
+    with pytest.raises(EngineUnavailable, match=message):
+        SubprocessRanks(2, "none")
+
+
+@pytest.mark.parametrize("end", [2.5, 3.0, 3.0 + 1e-13, 3.25, 3.999, 4.0 - 1e-13, 4.0, 4.5])
+def test_a_step_is_split_where_the_waveform_ends_within_it(end: float):
+    method = SPLITTINGS["rkn6"]
+    wave = Force(shape="half-sine", amplitude=1.0, duration=end).waveform
+    parts = StepPlan(5, 0, 4, method, 1.0, 0, (), 0.0, wave, False, 2, False).intervals(3)
+    borders = [3.0, end, 4.0] if end in (3.25, 3.999) else [3.0, 4.0]
+    assert [length for length, _ in parts] == pytest.approx(np.diff(borders), rel=1e-12)
+    for (_, times), (first, last) in zip(parts, pairwise(borders), strict=True):
+        drifts = (last - first) * np.cumsum(method.drifts)
+        np.testing.assert_allclose(times, [first, *(first + drifts)], rtol=1e-12)
 
 
 def test_a_launcher_that_fails_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
