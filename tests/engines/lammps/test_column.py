@@ -20,6 +20,7 @@ from lmpchain import (
     Force,
     Impulse,
     InputError,
+    Law,
     RunFailed,
     ToleranceNotMet,
 )
@@ -30,6 +31,7 @@ from lmpchain.engines.lammps.column import Contact, LammpsColumn
 from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.stepper import _join, word
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
+from lmpchain.engines.lammps.viscosity import LammpsGround
 from lmpchain.engines.lammps.worker import LocalState
 from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.util import mpi
@@ -80,6 +82,49 @@ def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
     )
     assert made.type_count == max(made.types) <= 3
     assert len(compared) < 30
+
+
+def test_contacts_that_differ_by_rounding_share_a_type():
+    for change, types in ((5e-15, 1), (5e-14, 2)):
+        constants = np.full(4, 1e9)
+        constants[2] *= 1 + change
+        made = lammps_column(contact_constants=constants, exponent=1.5, diameter=1e-3)
+        assert made.type_count == types
+
+
+def test_moving_grains_have_one_drag_and_one_mass():
+    rates = np.array([9.0, 2.0, 2.0, 2.0, 7.0])
+    driven = Drive(amplitude=1e-9, frequency=1e4)
+    options = {"damping": {"drag": rates}, "top": "free", "bottom": "fixed", "top_load": 0.0}
+    made = lammps_column(driven, **options)
+    assert (made.drag, made.drag_on_all, made.mobile) == (2.0, None, (2, 4))
+    for change, alike in ((1e-15, True), (1e-13, False)):
+        masses = [5e-6, 1e-6, 1e-6 * (1 + change), 1e-6, 3e-6]
+        heavy = lammps_column(driven, **options, masses=masses).drag_on_all
+        assert heavy == (pytest.approx(2e-6) if alike else None)
+    with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS supports one number"):
+        _ = lammps_column(**options).drag
+    # A load on a grain that is driven, or by a wall, is no force of the deck.
+    for excitation, chain, load in (
+        (None, {}, 0.0),
+        (None, {"top": "free"}, 0.3),
+        (driven, {"top": "free"}, 0.0),
+        (driven, {"top": "free", "load_grain": 2}, 0.3),
+    ):
+        assert lammps_column(excitation, **chain).load == load
+
+
+def test_equal_springs_of_the_ground_pull_grains_back_to_their_place():
+    """Any other ground is a formula."""
+    for law, rests, stiffness in (
+        (Law("k*u", k=3e5), True, 3e5),
+        (Law("k*u", k=3e5), False, 0.0),
+        (Law("k*u", k=-3e5), True, 0.0),
+        (Law("k*u", k=[3e5, 2e5]), True, 0.0),
+        (Law("k*u + b*u**3", k=3e5, b=1e21), True, 0.0),
+        (Law("k*u*cos(w*t)", k=3e5, w=1e4), True, 0.0),
+    ):
+        assert LammpsGround(law, rests).spring == stiffness
 
 
 # --- formulas

@@ -138,6 +138,45 @@ def test_a_resumed_run_has_the_same_bits():
     assert v[0, 1:].tobytes() == whole.velocity[1:].tobytes()
 
 
+POINTS = {"times": np.linspace(0, 2.1e-5, 8)}
+CURVE = np.sin(np.arange(8.0)) ** 2
+WALL = {"top": "wall", "top_load": 0.02}
+FORCED = {
+    "driven": (Drive(**POINTS, displacement=3e-8 * CURVE), {"damping": VISCOUS}),
+    "pushed": (Force(**POINTS, force=1e-3 * CURVE, grain=3), {"damping": VISCOUS}),
+    "moving wall": (Drive(**POINTS, displacement=3e-8 * CURVE, grain=0), WALL),
+    "driven in drifts": (Drive(**POINTS, displacement=3e-8 * CURVE), {}),
+    "pushed in drifts": (Force(amplitude=1e-3, frequency=1e5, cycles=1.303, grain=3), {}),
+    "moving wall and drifts": (
+        Drive(amplitude=3e-8, frequency=1e5, cycles=1.303, grain=0),
+        WALL,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORCED)
+def test_a_resumed_run_with_a_forcing_has_the_same_bits(name):
+    """A stop may be in any piece of a curve; every piece has several steps."""
+    acting, changes = FORCED[name]
+    scene = scene_of(Chain(**UNIFORM | changes), acting, 2e-5, 5)
+    engine = Lammps("rkn6" if "drifts" in name else "verlet", step=2.3e-7, diameter="gauge")
+    candidate = engine.propose(scene, 1e-3)
+    motions = []
+    for stops in ((), (1, 2, 10, 30, 17)):
+        u, v = np.zeros((2, 1, 5, 12))
+        state = {}
+        for steps in (*stops, 10**6):
+            stepper = engine.stepper([scene], candidate, [candidate.steps], state)
+            stepper.fill(u, v, 0, 4, steps)
+            state = stepper.state()
+            assert stepper.progress == state["done"] / 88
+            stepper.close()
+        motions.append(v[0, 1:])
+    assert np.array_equal(*motions)
+    native = simulate(scene, Native(engine.integrator, step=2.3e-7)).velocity[1:]
+    np.testing.assert_allclose(motions[0], native, rtol=0, atol=1e-10 * np.abs(native).max())
+
+
 @pytest.mark.parametrize("viscosity", [1e-7, 5e-7])
 def test_two_spheres_have_the_exact_restitution(viscosity):
     chain = Chain(

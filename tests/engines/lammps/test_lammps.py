@@ -181,17 +181,17 @@ def test_a_deck_states_the_choices_and_reasons(tmp_path):
     assert not (tmp_path / "refused").exists()
 
 
-def test_pair_styles_agree():
+@pytest.mark.parametrize("damping", [None, {"viscoelastic": 3e-8}])
+def test_pair_styles_agree(damping: dict[str, float] | None):
     scene = paper("fig1", samples=3)
-    runs = [
-        simulate(
-            scene,
-            engine=Lammps(integrator="verlet", step=5e-8, diameter="physical", pair_style=style),
-        )
+    scene = scene.replace(chain=scene.chain.replace(damping=damping))
+    options = {"integrator": "verlet", "step": 5e-8, "diameter": "physical"}
+    one, other = (
+        simulate(scene, Lammps(**options, pair_style=style))
         for style in ("granular", "gran/hertz/history")
-    ]
-    assert np.abs(runs[0].displacement - runs[1].displacement).max() < 1e-15
-    assert np.abs(runs[0].displacement).max() > 1e-8
+    )
+    assert np.abs(one.displacement - other.displacement).max() < 1e-15
+    assert np.abs(one.displacement).max() > 1e-8
 
 
 def test_only_the_diameter_asked_for_must_be_expressible():
