@@ -274,6 +274,24 @@ class LammpsColumn:
         exists = self.chain.wall_constants > 0
         return [wall for wall, there in zip(walls, exists, strict=True) if there]
 
+    @cached_property
+    def wall_viscosity(self) -> float:
+        """Viscous force of a moving top wall per rate and, in hertz, root of the overlap, in SI.
+
+        It is 0 if the wall is at rest or elastic, or if the law is a formula.
+        """
+        if self.scene.excitation.wall is None or not self.predicts or self.formula:
+            return 0.0
+        factor = 1.0 if self.model == "hooke" else 1.5
+        return float(factor * self.chain.contact_viscosity[0] * self.chain.wall_constants[0])
+
+    @property
+    def wall_friction(self) -> str:
+        """The viscous force of a moving top wall on grain 1, N upward, in variables of LAMMPS."""
+        # A moving region has the velocity of half a step before, which lowers the order to 1.
+        root = "" if self.model == "hooke" else "*sqrt(abs(v_top_o))"
+        return f"-v_top_k{root}*(v_top_o>0)*(vz-v_wall_vz)"
+
     def _wall_arguments(self, radius: Array) -> list[str]:
         """Return the arguments for the contacts with the top and the bottom wall.
 
@@ -283,6 +301,8 @@ class LammpsColumn:
         constants = self.chain.wall_constants
         if self.formula is None:
             ends = self._contacts(constants, radius, self.chain.masses[[0, -1]], [0, -1])
+            if self.wall_viscosity:
+                ends[1][0] = 0.0
             return [self._arguments(Contact(*row)) for row in np.column_stack(ends).tolist()]
         height = self.box[3] - self.box[2]
         # A wall has the law parameters of the contact next to it.

@@ -59,6 +59,14 @@ SCENES: dict[str, tuple[Scene, dict[str, Any]]] = {
         {},
     ),
     "driven wall": (small(Drive(grain=0, **SINE), top_load=0.02, **WALLS), {}),
+    "viscous driven wall": (
+        small(Drive(grain=0, **SINE), top_load=0.02, damping=VISCOUS, **WALLS, diameter=UNLIKE),
+        GAUGE,
+    ),
+    "springs below a viscous driven wall": (
+        small(Drive(grain=0, **SINE), top_load=0.02, damping=VISCOUS, exponent=1.0, **WALLS),
+        {},
+    ),
     "pushed": (small(Force(grain=3, **SINE), top_load=0.02), {}),
     "pushed in a burst": (small(Force(grain=3, **SINE, cycles=2.5)), {}),
     "half-sine": (
