@@ -201,6 +201,13 @@ def damaged(old: str, new: str, kind: int = 2, even: bool = True) -> str:
     return text.replace(old, new)
 
 
+def shorter() -> str:
+    """Return a universal file whose second record lacks its last line of three numbers."""
+    lines = universal(2, even=True).splitlines()
+    before, _, after = "\n".join([*lines[:-2], lines[-1]]).rpartition(f"{2:10d}{81:10d}")
+    return f"{before}{2:10d}{78:10d}{after}\n"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -216,6 +223,7 @@ def damaged(old: str, new: str, kind: int = 2, even: bool = True) -> str:
             damaged("Time                 s", "Time                 Hz"),
             "abscissa is in Hz",
         ),
+        (shorter(), "its records are of different lengths: export one of them"),
     ],
 )
 def test_universal_files_without_a_time_response_are_refused(
@@ -341,6 +349,13 @@ def test_a_colon_names_a_fact_alone_on_a_line_or_before_a_number(tmp_path: Path)
     path.write_text("unit: mV\nt0 = 2.5,note: made by x\nt,F\n0,1\n1,2\n2,3\n")
     table = read_table(path, fewest=2)
     assert (table.word(1, "unit"), table.fact(0, "t0"), table.word(1, "note")) == ("mV", 2.5, "")
+    # A name with a number beside the first row, and a header with too few names.
+    path.write_text("t,F\nT0,2.5,0,1\n,,1,2\n,,2,3\n,,3,4\n")
+    table = read_table(path, fewest=2)
+    assert [table.fact(place, "t0") for place in table.numeric] == [2.5, 2.5]
+    path.write_text("t,F\n0,1,2\n1,2,3\n2,3,4\n")
+    table = read_table(path, fewest=2)
+    assert [table.describe(place) for place in (0, 1, 2)] == ["column 1", "column 2", "column 3"]
 
 
 def test_units_of_lammps_are_those_of_codata():
