@@ -230,7 +230,7 @@ def add(chain: Chain, top: int, bottom: int) -> Chain:
             least = f"must be three cells or more, {3 * cells[end]} grains (got {size})"
             raise InputError.at(end, least)
         ending = layer(longer, end, size, cells[end])
-        if not ending.stiffness[:-1].all():
+        if not (longer.compressed and ending.stiffness[:-1].all()):
             raise InputError.at(end, NOT_PRESSED)
         gamma = match_drag(ending)
         _remark(end, size, ending, gamma)

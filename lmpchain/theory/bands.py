@@ -92,12 +92,12 @@ class Cell:
         Raises
         ------
         InputError
-            If the chain is under gravity or not compressed.
+            If the chain is under gravity, or neither compressed nor bonded.
         """
         uniform = "must be 0: contacts that stiffen with depth do not repeat"
         require(
             ("gravity", chain.gravity == 0, uniform),
-            ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
+            ("top_load", chain.compressed, "must be above 0: nothing is linear without it"),
         )
         chain.refuse_loose("theory of bands")
         # The last contact has the ratio of given constants to those of Hertz's law; a single grain

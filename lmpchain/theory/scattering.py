@@ -216,7 +216,7 @@ def reflection(
         ("end", end in ("bottom", "top"), sides), ("grains", least <= grains <= chain.grains, fits)
     )
     ending = sponge.layer(chain, end, grains, cell)
-    require(("chain", ending.stiffness[:-1].all(), sponge.NOT_PRESSED))
+    require(("chain", chain.compressed and ending.stiffness[:-1].all(), sponge.NOT_PRESSED))
     omega = ending.middle if frequency is None else real(frequency, "frequency")
     low, high = ending.bands.T[:, :, None]
     within = ((omega > low) & (omega < high)).any(0)

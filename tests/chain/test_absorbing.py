@@ -14,6 +14,8 @@ PRESSED = {"gravity": 0.0, "top_load": 20.0, "bottom": "wall"}
 UNIFORM = Chain(grains=30, diameter=1e-2, material="steel", **PRESSED)
 GROUND = lmpchain.Law("k*u", k=1e6)
 DIMER = patterns.periodic(41, 1e-2, ["steel", "ptfe"], **PRESSED)
+# Contacts at a kink are stiff, but no wave is linear there.
+LOOSE = UNIFORM.replace(top_load=0.0, law=lmpchain.laws.bilinear(0.3))
 VISCOUS = {"viscoelastic": 0.001 / DIMER.band_edge}
 
 
@@ -188,6 +190,7 @@ def test_a_striker_stays_on_its_side_of_the_chain():
         (UNIFORM, {"bottom": -1}, "whole number of grains"),
         (DIMER, {"bottom": 5}, "three cells or more, 6 grains"),
         (UNIFORM.replace(top_load=0.0), {}, "carry no force at rest"),
+        (LOOSE, {}, "carry no force at rest"),
     ],
 )
 def test_unsuitable_chains_are_rejected(chain, sizes, message):
@@ -204,3 +207,5 @@ def test_reflection_of_a_short_end_or_outside_the_bands_is_rejected():
     ):
         with pytest.raises(InputError, match=message):
             scattering.reflection(absorbs, **options)
+    with pytest.raises(InputError, match="carry no force at rest"):
+        scattering.reflection(LOOSE, 20)

@@ -138,6 +138,9 @@ def test_a_chain_as_a_cell():
     assert cell.stiffness == pytest.approx(twice.linear_stiffness[:3], rel=1e-12)
     given = Cell.of(Chain(grains=3, **kinds, contact_constants=2 * twice.contact_constants[:2]))
     assert given.stiffness == pytest.approx(cell.stiffness * 2 ** (2 / 3), rel=1e-12)
+    # Bonds need no load.
+    bonded = Chain(grains=3, **kinds | {"top_load": 0.0}, law=Law("k*o", k=[1e6, 2e6]))
+    assert Cell.of(bonded).stiffness.tolist() == [1e6, 2e6, 2e6]
     # A law with its own constant and parameters applies those of the last contact.
     for grains, k, c in ((3, 1e6, 0.0), (3, [1e6, 2e6], [0.0, 0.5]), (1, 1e6, 0.5)):
         alike = {} if grains == 3 else {"material": "steel", "diameter": 1e-3, "bottom": "wall"}
