@@ -361,8 +361,14 @@ def test_unused_data_are_not_written(tmp_path):
 
 def test_grains_lost_during_reading_are_detected(monkeypatch):
     monkeypatch.setattr(LammpsColumn, "box", (-1e-3, 1e-3, -0.01, 0.2))
+    serial, steps = communicators.Serial("none"), Steps(1, 1, 1e-7)
+    closed: list[None] = []
+    close = serial.close
+    monkeypatch.setattr(serial, "close", lambda: closed.append(close()))
     with pytest.raises(RunFailed, match=r"LAMMPS stopped|lost grains"):
-        stepper(small())
+        LammpsStepper(LammpsColumn(small(), 0.0), VERLET, steps, {}, serial)
+    # A run with shorter steps starts another instance.
+    assert closed == [None]
 
 
 def test_grains_that_an_include_deletes_are_missed():
