@@ -15,6 +15,7 @@ from scipy.special import jv
 
 from lmpchain import Chain, Displacement, Impulse, InputError, Law, Trajectory
 from lmpchain.measure.fit import waves
+from lmpchain.measure.fit.table import FittedNumber
 from lmpchain.measure.fit.waves import fit_bessel, fit_modes
 
 Array = NDArray[np.float64]
@@ -70,6 +71,14 @@ def test_the_covariance_of_fitted_parameters(rng: np.random.Generator, late: Tra
     assert fit.kappa == pytest.approx((fit.rate * unit) ** 2, rel=1e-12)
     assert fit.expected == pytest.approx([-2e-9, 1 / unit, 0.0, 1.0], rel=1e-12)
     assert (fit.struck, fit.field) == (1, "velocity")
+    *rows, last = fit.rows()
+    values = (fit.amplitude, fit.rate, fit.delay, fit.kappa)
+    names = (("amplitude", "m/s"), ("wave speed", "grains/s"), ("delay", "s"), ("kappa", ""))
+    for row, value, error, expected, (name, unit) in zip(
+        rows, values, fit.error, fit.expected, names, strict=True
+    ):
+        assert row == FittedNumber("bessel", name, value, error, expected, unit)
+    assert last == FittedNumber("bessel", "residual", fit.residual, expected=0.0)
 
 
 @pytest.mark.slow
