@@ -254,15 +254,15 @@ class SceneFacts(Recording):
                 return np.inf
             omega = (contacts.stiffness[n] / chain.masses[n - 1]) ** 0.5
             return float(abs(self.strike_velocity) / (contacts.length[n] * omega))
+        largest = [np.abs(values) for values in excitation.largest(chain)]
+        if not chain.compressed:
+            return np.inf if any(values.any() for values in largest) else 0.0
         # A last grain that hangs free, or only touches a wall, has no pressed contact below it.
         moving = slice(0, chain.movable - (not chain.contacts.pressed[chain.movable]))
-        displacement, velocity = (np.abs(values[moving]) for values in excitation.largest(chain))
+        displacement, velocity = (values[moving] for values in largest)
         # Contacts without force at rest behave as in the sonic vacuum.
-        free = slice(0, loose if chain.compressed else None)
-        if displacement[free].any() or velocity[free].any():
+        if displacement[:loose].any() or velocity[:loose].any():
             return np.inf
-        if not chain.compressed:
-            return 0.0
         overlap = contacts.length[1:][moving][loose:]
         omega = np.sqrt(contacts.stiffness[1:][moving][loose:] / chain.masses[moving][loose:])
         shift = displacement[loose:] / overlap

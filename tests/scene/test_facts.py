@@ -64,6 +64,16 @@ def test_a_scene_ends_at_its_last_sample_before_a_time() -> None:
         assert (part is scene) == (samples == 8)
 
 
+@pytest.mark.parametrize("top", ["free", "wall"])
+@pytest.mark.parametrize("bottom", ["free", "wall"])
+def test_no_strike_on_a_sonic_vacuum_is_weak(top: str, bottom: str) -> None:
+    vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0, top=top, bottom=bottom)
+    for grain in range(1, 6):
+        for speed, number in ((-1e-9, np.inf), (0.0, 0.0)):
+            strike = Impulse(velocity=speed, grain=grain)
+            assert Scene(chain=vacuum, excitation=strike, duration=1e-5).strike_number == number
+
+
 def test_kinks_are_those_of_the_force_within_the_run() -> None:
     assert SCENES["struck"].kinks == ()
     assert SCENES["struck"].kink_spacing == np.inf
