@@ -74,6 +74,20 @@ def test_no_strike_on_a_sonic_vacuum_is_weak(top: str, bottom: str) -> None:
             assert Scene(chain=vacuum, excitation=strike, duration=1e-5).strike_number == number
 
 
+def test_a_chain_upside_down_is_defined_by_its_reversed_fields() -> None:
+    chain = Chain(
+        grains=3, diameter=1e-3, top_load=1.0, top="wall", bottom="wall", wall_constants=[1e9, 4e9],
+        masses=[1e-6, 2e-6, 4e-6], contact_constants=[2e9, 3e9],
+    )  # fmt: skip
+    shaken = Drive(end="bottom", amplitude=1e-9, frequency=1e3)
+    turned = Scene(chain=chain, excitation=shaken, duration=1e-4).driven_from_above.chain
+    assert turned.contacts.force == pytest.approx(chain.contacts.force[::-1], rel=1e-15)
+    # A chain that is made anew from its fields has the same contacts and masses.
+    for each in (turned, Chain(**turned.given())):
+        assert each.contacts.constant.tolist() == [4e9, 3e9, 2e9, 1e9]
+        assert each.masses.tolist() == [4e-6, 2e-6, 1e-6]
+
+
 def test_kinks_are_those_of_the_force_within_the_run() -> None:
     assert SCENES["struck"].kinks == ()
     assert SCENES["struck"].kink_spacing == np.inf
