@@ -215,7 +215,8 @@ FORCED = {
     "strike": ({}, Impulse(velocity=0.05)),
     "drive": ({}, Drive(amplitude=2e-8, frequency=3e4)),
     "moving wall": ({"top": "wall"}, Drive(grain=0, amplitude=2e-8, frequency=3e4)),
-    "force": ({}, Force(grain=2, shape="half-sine", amplitude=0.01, duration=2e-5)),
+    # This force ends during the run.
+    "force": ({}, Force(grain=2, shape="half-sine", amplitude=0.01, duration=6e-6)),
     "damped": (
         {"damping": {"viscoelastic": 2e-8, "drag": 200.0}},
         Force(grain=1, amplitude=0.01, frequency=3e4, cycles=2),
