@@ -393,9 +393,12 @@ def test_saved_runs_contain_their_scene(tmp_path: Path, monkeypatch, capsys):
 
 
 def test_runs_and_scenes_of_the_wrong_type_are_refused(dump: Path):
+    run = simulate(small(), Native("verlet", STEP))
     for call, message in (
         (lambda: check(None), r"run: must be a trajectory, or the path of a run \(got None\)"),
         (lambda: check(dump, "scene.toml"), r"scene: must be a Scene \(got 'scene\.toml'\)"),
+        (lambda: check(run, units="si"), "units: is only for a LAMMPS dump"),
+        (lambda: check(run, small(Impulse(velocity=1e-3))), "scene: is not the scene of the run"),
         (lambda: check_deck(3), r"folder: must be the path of a deck \(got 3\)"),
         (lambda: check_deck(dump.parent, "scene.toml"), r"scene: must be a Scene"),
         (lambda: reference(None), r"scene: must be a Scene \(got None\)"),
