@@ -269,7 +269,8 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
         columns = _columns(header, numeric)
         # Rigol writes names and values, such as the sampling interval, in two lines.
         for name, cell in zip(header[1], header[0], strict=False) if len(header) == 2 else ():
-            facts[name.lower()] = dict.fromkeys(numeric, cell)
+            if CELLS["."].fullmatch(cell):
+                facts[name.lower()] = dict.fromkeys(numeric, cell)
     numbers, rows = map(list, zip(*lines[first:], strict=True))
     return NumberTable(path, columns, numeric, facts, numbers, rows, layout)
 

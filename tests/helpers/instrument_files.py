@@ -81,6 +81,10 @@ FILES: dict[str, tuple[str, dict[str, Any]]] = {
         {"columns": ["TIME", "CH2"], "scale": 2.0},
     ),
     "Tektronix TDS, channels side by side": (tds(), {"columns": [11], "scale": 2.0}),
+    "a trigger point without times": (
+        "Sample Interval,1e-06\nTrigger Point,20\nVertical Units,V\n" + rows(VOLTS),
+        {"columns": [1], "scale": 2.0},
+    ),
     "LabVIEW, one column of times": (
         LVM.format(
             x="One", samples="81\t81", units="mV\tVolts", dimension="Time\tTime",

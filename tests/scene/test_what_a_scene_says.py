@@ -339,6 +339,7 @@ def test_a_short_push_moves_its_grain_like_an_oscillator() -> None:
     speed = 1e-3 * 2e-7 / np.pi / 2e-6
     assert (u, v) == pytest.approx((speed / 5000.0, speed), rel=1e-12)
     assert blow.strongest(chain, 1.0) == pytest.approx((u, v), rel=1e-15)
+    assert blow.strongest(chain, 1e-6) == pytest.approx((v * 1e-6, v), rel=1e-15)
     slow = Force(amplitude=1e-4, frequency=1.0)
     (u,), (v,) = slow.largest(chain)
     assert v == pytest.approx(np.sqrt(2 * 1e-4 * (1e-4 / 50.0) / 2e-6), rel=1e-12)

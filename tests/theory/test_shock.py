@@ -1,5 +1,7 @@
 """Closed forms of shocks agree with each other, and with KdV theory for weak shocks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
@@ -135,6 +137,19 @@ def test_overlaps_of_gaps_are_rejected(overlap: float) -> None:
     ):
         with pytest.raises(InputError, match="overlap: "):
             law()
+
+
+def test_thickness_is_that_of_the_profile_of_burgers() -> None:
+    """The profile is a tanh, whose jump over its steepest slope is 8 nu over the jump of speeds."""
+    for constant in (2.0, 8.0):
+        gas = replace(GAS, constant=constant)
+        low, high = gas.sound(0.7), gas.sound(0.75)
+        nu = 1e-3 * low**2 / 2
+        x = np.linspace(-1e-3, 1e-3, 3) * nu / (high - low)
+        speeds = (high - low) / 2 * np.tanh(-(high - low) * x / (4 * nu))
+        steepest = -np.gradient(speeds, x)[1]
+        found = gas.thickness(State(0.0, 0.7), 0.75, 1e-3)
+        assert found == pytest.approx((high - low) / steepest, rel=1e-6)
 
 
 def test_waves_of_the_wrong_type_are_rejected() -> None:
