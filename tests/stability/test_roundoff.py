@@ -18,6 +18,7 @@ from lmpchain import (
     Displacement,
     Drive,
     InputError,
+    Law,
     Scene,
     ToleranceNotMet,
     simulate,
@@ -137,6 +138,9 @@ def test_scenes_without_a_rounding_floor_are_rejected():
     driven = scene_of(scene.chain, Drive(amplitude=1e-12, frequency=1e3), 1e-5, 3)
     with pytest.raises(InputError, match="forced"):
         measured_floor(driven)
+    ground = Law("k*u", k=1.0)
+    with pytest.raises(InputError, match="measured round-off"):
+        measured_floor(struck_in_units(column(5, ground=ground), 1e-3, 2, 11))
 
 
 @pytest.mark.soak
