@@ -73,8 +73,8 @@ def least_compression(
     The bound is 0 for a chain with affordable arrays, and for a law with its own constant or with
     parameters of each contact.
     """
-    own = law.given_constant is not None or any(map(np.ndim, law.parameters))
-    if grains < LIMITS.long_chain or own:
+    separate = law.given_constant is not None or any(map(np.ndim, law.parameters))
+    if grains < LIMITS.long_chain or separate:
         return 0.0
     # With I impurities, one of the 2 I + 1 lowest contacts is between two common grains, and at
     # most I grains above it are impurities.

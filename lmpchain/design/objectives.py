@@ -614,12 +614,16 @@ class Function:
         """
         columns = view.columns(self.group)
         motion = view.displacement[:, columns], view.velocity[:, columns]
-        found = self.function(view.time, *motion)
+        answer = self.function(view.time, *motion)
         shape = motion[0].shape
-        if not isinstance(found, tuple) or [np.shape(part) for part in found] != [(), shape, shape]:
+        if not isinstance(answer, tuple) or [np.shape(part) for part in answer] != [
+            (),
+            shape,
+            shape,
+        ]:
             message = f"its function must return a number and two arrays of shape {shape}"
             raise InputError.at("objective", message)
-        value, *derivatives = (numbers(part, "objective") for part in found)
+        value, *derivatives = (numbers(part, "objective") for part in answer)
         slopes = view.slopes(float(value))
         for slope, derivative in zip(slopes[1:3], derivatives, strict=True):
             np.add.at(slope.T, columns, derivative.T)

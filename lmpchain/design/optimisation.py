@@ -249,11 +249,11 @@ class _Limit(NamedTuple):
 
 def _limit(constraint: Constraint, box: _Box) -> _Limit:
     """Return a constraint with its scale; raise `InputError` if its derivatives are invalid."""
-    found: Any = constraint(box.values(box.start))
-    if not _is_pair(found) or np.ndim(found[0]) or not isinstance(found[1], Mapping):
-        message = f"must return a number and its derivatives by name (got {shown(found)})"
+    answer: Any = constraint(box.values(box.start))
+    if not _is_pair(answer) or np.ndim(answer[0]) or not isinstance(answer[1], Mapping):
+        message = f"must return a number and its derivatives by name (got {shown(answer)})"
         raise InputError.at("constraints", message)
-    value, slopes = found
+    value, slopes = answer
     sizes = dict(zip(box.names, np.diff(box.sizes).tolist(), strict=True))
     for name, slope in slopes.items():
         if name not in sizes:

@@ -285,13 +285,13 @@ class LammpsInput:
     def _state_with(self, acting: frozenset[str]) -> RunState:
         """Return the state with the fixes of an instance: at the end of the file or at its run."""
         # Styles in capitals are those that LAMMPS creates for itself.
-        found = {style for style in acting if not style.isupper()} - {*OBSERVERS}
+        styles = {style for style in acting if not style.isupper()} - {*OBSERVERS}
         for state in (self.state, self.run_state):
-            if state is not None and {fix.style for fix in state.fixes.values()} == found:
+            if state is not None and {fix.style for fix in state.fixes.values()} == styles:
                 return state
         raise InputError.at(
             str(self.path),
-            f"does not end with the fixes of the instance, {', '.join(sorted(found)) or 'none'}: "
+            f"does not end with the fixes of the instance, {', '.join(sorted(styles)) or 'none'}: "
             "name the input that was executed",
         )
 
@@ -309,9 +309,9 @@ class LammpsInput:
         key, style = self.text.word(line, words, 0), self.text.word(line, words, 1)
         groups = self.state.groups
         before = groups.get(key, frozenset())
-        found = self._grouped(line, style, words[2:])
+        added = self._grouped(line, style, words[2:])
         # LAMMPS adds to an existing group.
-        members = None if before is None or found is None else before | found
+        members = None if before is None or added is None else before | added
         if style in ("delete", "clear"):
             members = frozenset()
         elif style == "subtract" and members is not None:
@@ -341,10 +341,10 @@ class LammpsInput:
         """Return the atoms of a group."""
         if group == "all":
             return frozenset(self._atoms())
-        found = self.state.groups.get(group)
-        if found is None:
+        members = self.state.groups.get(group)
+        if members is None:
             raise line.refuse(f"uses the group {group}, which is not defined by id or type")
-        return found
+        return members
 
     def _select(self, line: InputLine, words: list[str]) -> Callable[[int], bool]:
         """Return whether a number matches a range such as 1:19, or a comparison such as <= 19."""
