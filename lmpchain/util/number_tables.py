@@ -267,10 +267,8 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
         columns = [ColumnHeader(name, "", name) for name in traces]
     else:
         columns = _columns(header, numeric)
-        # Rigol writes names and values, such as the sampling interval, in two lines.
-        for name, cell in zip(header[1], header[0], strict=False) if len(header) == 2 else ():
-            if CELLS["."].fullmatch(cell):
-                facts[name.lower()] = dict.fromkeys(numeric, cell)
+        if len(header) == 2:
+            _note_below(facts, header[1], header[0], numeric)
     numbers, rows = map(list, zip(*lines[first:], strict=True))
     return NumberTable(path, columns, numeric, facts, numbers, rows, layout)
 
@@ -481,6 +479,15 @@ def _note_above(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> N
     # The first cell is the name.
     own = {place: "".join(["", *values][place + shift : place + shift + 1]) for place in numeric}
     facts[cells[0].lower()] = {place: own[place] or alone for place in numeric}
+
+
+def _note_below(
+    facts: Facts, names: Sequence[str], cells: Sequence[str], numeric: Sequence[int]
+) -> None:
+    """Store the facts of two lines: names, and below them numbers, as Rigol writes them."""
+    for name, cell in zip(names, cells, strict=False):
+        if CELLS["."].fullmatch(cell):
+            facts[name.lower()] = dict.fromkeys(numeric, cell)
 
 
 def _note_beside(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> None:
