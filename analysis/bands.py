@@ -36,7 +36,7 @@ def main() -> None:
     q = np.linspace(0, np.pi, 400)
     bands = branches(cell, q)
 
-    strike = lmpchain.Impulse(velocity=1e-6 * chain.length_scale / unit, grain=grains // 2 + 1)
+    strike = lmpchain.Impulse(velocity=5e-7 * chain.length_scale / unit, grain=grains // 2 + 1)
     scene = lmpchain.Scene(chain=chain, excitation=strike, duration=tau * unit, samples=4 * tau + 1)
     found = dispersion(lmpchain.simulate(scene, "modes"), 1, grains)
     level = 20 * np.log10(np.maximum(found.amplitude / found.amplitude.max(), 1e-4))

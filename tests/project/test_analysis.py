@@ -190,7 +190,8 @@ def numbers(command: Command, script: str, *words: str) -> dict[str, float]:
     """Run a script and return the numbers that it prints."""
     with warnings.catch_warnings(record=True) as warned:
         said = command(script, *words, "-o", "picture.png")
-    assert [w for w in warned if not issubclass(w.category, DeprecationWarning)] == []
+    old = DeprecationWarning
+    assert [str(w.message) for w in warned if not issubclass(w.category, old)] == []
     assert Path("picture.png").read_bytes()[:4] == b"\x89PNG"
     lines = (
         line.rpartition(": ") for line in said.splitlines() if not line.startswith("picture: ")
