@@ -14,10 +14,8 @@ import lmpchain
 from lmpchain import orbits
 from lmpchain.util.plotting import figure
 
-ALUMINIUM = lmpchain.Material(
-    "aluminium", density=2700.0, youngs_modulus=73.5e9, poissons_ratio=0.33
-)
-STEEL = lmpchain.Material("steel 440C", density=7800.0, youngs_modulus=200e9, poissons_ratio=0.3)
+ALUMINIUM = lmpchain.Material(density=2700.0, youngs_modulus=73.5e9, poissons_ratio=0.33)
+STEEL = lmpchain.Material(density=7800.0, youngs_modulus=200e9, poissons_ratio=0.3)
 FREQUENCIES = 6.7e3, 7.0e3  # Hz, in the gap.
 STRONGEST = 1.5e-6  # Amplitude of the drive, m.
 MARKS = {"fold": "o", "Neimark-Sacker": "^", "period doubling": "s"}

@@ -13,7 +13,7 @@ import lmpchain
 from lmpchain import orbits
 from lmpchain.util.plotting import figure
 
-STEEL = lmpchain.Material("steel 316", density=8000.0, youngs_modulus=193e9, poissons_ratio=0.3)
+STEEL = lmpchain.Material(density=8000.0, youngs_modulus=193e9, poissons_ratio=0.3)
 FREQUENCY = 10.5e3  # Hz, above the band of the chain, near the mode of the light sphere.
 ROUNDING = 1e-12  # Amplitude in N below which spectra show rounding errors.
 STRONGEST = 1.2e-6  # Amplitude of the drive, m.
