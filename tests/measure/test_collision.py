@@ -171,6 +171,7 @@ PAIRS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAIRS)
 def test_shifts_of_given_waves(name: str) -> None:
     """Exact waves are lowered and shifted as they cross, the second one not at once."""

@@ -699,6 +699,7 @@ def test_any_executor_with_the_interface_of_concurrent_futures(tmp_path):
     assert contents(tmp_path / "threads") == contents(tmp_path / "serial")
 
 
+@pytest.mark.slow
 def test_a_dying_process_loses_only_its_own_task():
     """One process solves all tasks; after it has died, another one solves the next tasks."""
     with Processes(1) as processes:
