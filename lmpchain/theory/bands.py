@@ -26,7 +26,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.tabular import NamedColumn, Tabular, number_columns
-from .domain import real, require
+from .domain import NEGLIGIBLE, real, require
 from .modes import eigenmodes, ground_of
 
 __dir__ = listed(__name__)
@@ -41,9 +41,6 @@ __all__ = [
     "repeating",
     "waves",
 ]
-
-# Relative width of a gap, and relative difference of grains, that count as 0.
-NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError, shown
 from ..util.arrays import Array, numbers, whole_numbers
 
+# Relative width of a gap, and relative difference of grains or contacts, that count as 0.
+NEGLIGIBLE = 1e-9
+
 
 def require(*rules: tuple[str, Any, str]) -> None:
     """Raise `InputError` for every rule (key, condition, message) that is violated anywhere."""

@@ -29,12 +29,10 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
 from ..util.tabular import Tabular
-from .domain import real, require, whole
+from .domain import NEGLIGIBLE, real, require, whole
 
 __dir__ = listed(__name__)
 
-# Relative difference of grains and contacts that counts as 0.
-NEGLIGIBLE = 1e-9
 Complex = NDArray[np.complex128]
 Property = Literal["diameter", "mass", "youngs_modulus"]
 

@@ -115,6 +115,19 @@ def after(scene: Scene, **sums: float) -> PhaseError:
     return PhaseError(scene, np.array([given[name] for name in PhaseSums._fields]))
 
 
+def after_oscillating(scene: Scene, omega: float, turns: float, strain: float) -> PhaseError:
+    """Return the phase error after an oscillation of one amplitude, over this phase in radians."""
+    time = turns / omega
+    return after(
+        scene,
+        time=time,
+        velocity=1.0,
+        acceleration=omega,
+        largest_strain=strain,
+        squared_strain=strain**2 * time / 2,
+    )
+
+
 LOAD: dict[str, Any] = {"gravity": 0.0, "top_load": 1e-2}
 LONG = column(30, **LOAD)
 EDGE = LONG.band_edge
@@ -133,16 +146,8 @@ def test_strains_of_an_oscillation_add_up_as_a_random_walk(
 ) -> None:
     scene = STRIKE.replace(chain=column(30, **LOAD, exponent=exponent))
     omega = 0.4 * scene.chain.band_edge
-    time = turns / omega
     strain = 1e-3
-    error = after(
-        scene,
-        time=time,
-        velocity=1.0,
-        acceleration=omega,
-        largest_strain=strain,
-        squared_strain=strain**2 * time / 2,
-    )
+    error = after_oscillating(scene, omega, turns, strain)
     x = 0.15 * 0.5 * strain * strays
     assert error.strayed == pytest.approx(x, rel=1e-9)
     assert error.error == pytest.approx(x / (1 + x), rel=1e-9)
@@ -167,15 +172,7 @@ def test_hardening_contacts_shift_the_frequency_by_the_squared_strain() -> None:
     scene = struck(chain, 1e-9, 60 * chain.time_scale, 31)
     omega = 0.7 * chain.band_edge
     for turns, strain in ((30.0, 1e-2), (30.0, 2e-2), (60.0, 1e-2)):
-        time = turns / omega
-        error = after(
-            scene,
-            time=time,
-            velocity=1.0,
-            acceleration=omega,
-            largest_strain=strain,
-            squared_strain=strain**2 * time / 2,
-        )
+        error = after_oscillating(scene, omega, turns, strain)
         assert error.detuned == pytest.approx((strain * length / 1e-6) ** 2 * turns / 4, rel=1e-6)
         assert error.scattered == error.detuned / (1 + error.detuned)
     assert after(scene, time=1.0, velocity=1.0, acceleration=omega).detuned == 0.0
