@@ -59,6 +59,12 @@ OPPOSITES = {
     **{ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd},
 }
 
+# Keywords whose values change no result: looks of pictures, depths of warnings, checks of lengths.
+WITHOUT_RESULT = re.compile(
+    "strict|stacklevel|flush|lw|linewidth|elinewidth|ms|mew|markersize|capsize|alpha|zorder|"
+    "fontsize|frameon"
+)
+
 
 @dataclass(frozen=True)
 class Mutant:
@@ -116,7 +122,9 @@ def mutate(node: ast.AST) -> str | None:
 
 
 def walk(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes that are executed, without annotations and parts of f-strings."""
+    """Yield the nodes that are executed, without annotations, parts of f-strings, and looks."""
+    if isinstance(node, ast.keyword) and WITHOUT_RESULT.fullmatch(node.arg or ""):
+        return
     yield node
     for name, value in ast.iter_fields(node):
         if name not in ("annotation", "returns", "decorator_list") and not isinstance(

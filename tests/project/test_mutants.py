@@ -45,9 +45,9 @@ def test_statements_are_dropped(statement: str):
 
 
 @pytest.mark.parametrize(
-    "statement", ["'''A docstring.'''", "def f(a: 3) -> 4: pass", "a = f'{1}'", "a = b"]
+    "statement", ["'''A docstring.'''", "def f(a: 3) -> 4: pass", "a = f'{1}'", "a = b(c, lw=2)"]
 )
-def test_annotations_and_docstrings_are_not_changed(statement: str):
+def test_annotations_docstrings_and_looks_are_not_changed(statement: str):
     assert not [
         node for node in mutants.walk(ast.parse(statement)) if mutants.mutate(node) is not None
     ]
