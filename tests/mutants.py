@@ -4,14 +4,18 @@
     python tests/mutants.py lmpchain/theory/scattering.py:226:12 --tests tests/theory
 
 A mutant reverses a comparison, swaps an operator, changes a number by one or by a fifth, or drops a
-statement. Each mutant is tried in a copy of the project by the default tests of its room,
-`tests/ROOM` and the doctests of `lmpchain/ROOM`, which must pass without the mutant. The files that
-name the changed module run first, and the first failure ends the run. Compiled kernels are compiled
-anew. The rate by room is printed last. A survivor may be equivalent: no result depends on it.
+statement. Each mutant is tried by the default tests of its room, `tests/ROOM` and the doctests of
+`lmpchain/ROOM`, which must pass without the mutant. At first the code of its function is exchanged
+in a fork of a process that has collected the tests; only tests that call the function run there. A
+mutant that none of them notices, as in code that is compiled or runs at import, is tried in a copy
+of the project: the files that name the changed module run first, and kernels are compiled anew. The
+first failure ends a run. The rate by room is printed last. A survivor may be equivalent: no result
+depends on it.
 """
 
 import argparse
 import ast
+import gc
 import os
 import random
 import re
@@ -21,12 +25,19 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections import Counter
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing import Pipe, get_context
 from pathlib import Path
+from types import CodeType, FrameType, FunctionType
+from typing import Any
+
+import pytest
 
 PROJECT = Path(__file__).parents[1]
 NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "*_cache", "*.egg-info", "build", "dist")
@@ -83,12 +94,15 @@ class Mutant:
     def room(self) -> str:
         return Path(self.path).parts[1].removesuffix(".py")
 
-    def write(self, project: Path) -> None:
-        file = project / self.path
-        lines = file.read_bytes().splitlines(keepends=True)
+    def applied(self, program: bytes) -> bytes:
+        lines = program.splitlines(keepends=True)
         head = [*lines[: self.begin[0] - 1], lines[self.begin[0] - 1][: self.begin[1]]]
         tail = [lines[self.end[0] - 1][self.end[1] :], *lines[self.end[0] :]]
-        file.write_bytes(b"".join([*head, self.after.encode(), *tail]))
+        return b"".join([*head, self.after.encode(), *tail])
+
+    def write(self, project: Path) -> None:
+        file = project / self.path
+        file.write_bytes(self.applied(file.read_bytes()))
 
 
 def mutate(node: ast.AST) -> str | None:
@@ -168,14 +182,156 @@ def draw(places: list[str], number: int, seed: int) -> list[Mutant]:
     return random.Random(seed).sample(mutants, min(number, len(mutants)))
 
 
-def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
+def codes(code: CodeType) -> Iterator[CodeType]:
+    """Yield the code of a module and of all its functions and classes."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from codes(constant)
+
+
+def without_lines(code: CodeType) -> CodeType:
+    """Return code without its places in the file."""
+    constants = (without_lines(c) if isinstance(c, CodeType) else c for c in code.co_consts)
+    return code.replace(co_consts=tuple(constants), co_linetable=b"", co_firstlineno=1)
+
+
+Key = tuple[str, str, int]
+
+
+def key_of(code: CodeType) -> Key:
+    return code.co_filename, code.co_qualname, code.co_firstlineno
+
+
+def changed_codes(mutant: Mutant) -> dict[Key, CodeType]:
+    """Return the changed code of functions, classes and the module, by that before."""
+    path = PROJECT / mutant.path
+    program = path.read_bytes()
+    before, after = (
+        codes(compile(text, str(path), "exec", dont_inherit=True))
+        for text in (program, mutant.applied(program))
+    )
+    return {
+        key_of(old): new
+        for old, new in zip(before, after, strict=True)
+        if without_lines(old) != without_lines(new) and old.co_freevars == new.co_freevars
+    }
+
+
+def in_a_fork(task: Callable[[], Any], limit_s: float) -> Any:
+    """Return what a task returns in a fork of this process; None if it ends without a result."""
+    receiver, sender = Pipe(duplex=False)
+
+    def work() -> None:
+        os.setsid()
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for stream in (1, 2):
+            os.dup2(nowhere, stream)
+        sender.send(task())
+
+    process = get_context("fork").Process(target=work)
+    process.start()
+    sender.close()
+    result = None
+    with suppress(EOFError):
+        result = receiver.recv() if receiver.poll(limit_s) else None
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.join()
+    return result
+
+
+class Exchange:
+    """A plugin of pytest that tries mutants by exchanging the code of functions in forks."""
+
+    def __init__(self, mutants: list[Mutant]):
+        self.mutants = mutants
+        self.failing = ""  # A test that fails without a mutant.
+        self.noticed: dict[Mutant, str] = {}  # The test that notices a mutant.
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        calls = in_a_fork(lambda: [self.called(session, test) for test in session.items], 7200)
+        if calls is None or None in calls:
+            self.failing = session.items[calls.index(None)].nodeid if calls else "the process ends"
+            return True
+        functions: dict[Key, list[FunctionType]] = defaultdict(list)
+        gc.unfreeze()  # Otherwise functions of imported modules may be missing.
+        for thing in gc.get_objects():
+            if isinstance(thing, FunctionType):
+                functions[key_of(thing.__code__)].append(thing)
+        for mutant in self.mutants:
+            changed = {k: code for k, code in changed_codes(mutant).items() if k in functions}
+            # The shortest tests run first.
+            tests = sorted(
+                (seconds, number)
+                for number, (seconds, keys) in enumerate(calls)
+                if keys & changed.keys()
+            )
+
+            def first_failure(changed: Any = changed, tests: Any = tests) -> str:
+                for key, code in changed.items():
+                    for function in functions[key]:
+                        function.__code__ = code
+                for _, number in tests:
+                    if not passes(session, session.items[number]):
+                        return session.items[number].nodeid
+                return ""
+
+            if tests:
+                limit = 60 + 20 * sum(seconds for seconds, _ in tests)
+                failed = in_a_fork(first_failure, limit)
+                if failed != "":
+                    self.noticed[mutant] = failed or "the end of the process, or no end"
+        return True
+
+    @staticmethod
+    def called(session: pytest.Session, test: pytest.Item) -> tuple[float, set[Key]] | None:
+        """Return how long a test takes, s, and which functions of lmpchain it calls.
+
+        The result is None for a test that fails.
+        """
+        keys = set()
+
+        def note(frame: FrameType, event: str, _: object) -> None:
+            if event == "call" and "/lmpchain/" in frame.f_code.co_filename:
+                keys.add(key_of(frame.f_code))
+
+        begin = time.perf_counter()
+        threading.setprofile(note)
+        sys.setprofile(note)
+        try:
+            passed = passes(session, test)
+        finally:
+            sys.setprofile(None)
+            threading.setprofile(None)
+        return (time.perf_counter() - begin, keys) if passed else None
+
+
+def passes(session: pytest.Session, test: pytest.Item) -> bool:
+    """Run a test, and return whether it passes."""
+    before = session.testsfailed
+    session.config.hook.pytest_runtest_protocol(item=test, nextitem=None)
+    return session.testsfailed == before
+
+
+def exchange(mutants: list[Mutant], tests: list[str]) -> Exchange:
+    """Try mutants of a room by exchanging code, in a process of their own."""
+    os.chdir(PROJECT)
+    sys.path.insert(0, str(PROJECT))
+    plugin = Exchange(mutants)
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        pytest.main(["-q", "-p", "no:cacheprovider", *tests], plugins=[plugin])
+    return plugin
+
+
+def run_tests(mutant: Mutant, tests: list[str]) -> tuple[bool, str]:
     """Run tests in a copy of the project with a mutant; return success, and a failure's reason."""
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         copy = Path(folder, "lmpchain")
         # Times of files are copied, so that compiled code stays valid.
         shutil.copytree(PROJECT, copy, ignore=NOT_COPIED)
-        if mutant is not None:
-            mutant.write(copy)
+        mutant.write(copy)
         process = subprocess.Popen(
             [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *tests],
             cwd=copy,
@@ -227,14 +383,14 @@ def nearest_first(tests: list[str], module: str) -> list[str]:
 
 def main() -> None:
     """Draw mutants, run the tests of their rooms, and print the surviving mutants."""
-    rooms = sorted(
+    every = sorted(
         path.name for path in (PROJECT / "lmpchain").iterdir() if path.name[0] not in "._"
     )
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "places", nargs="*", default=rooms, help="rooms, modules or FILE:LINE:COLUMN (default: all)"
+        "places", nargs="*", default=every, help="rooms, modules or FILE:LINE:COLUMN (default: all)"
     )
     parser.add_argument(
         "--number", type=int, default=30, help="how many mutants to draw (default: 30)"
@@ -244,34 +400,39 @@ def main() -> None:
         "--jobs", type=int, default=len(os.sched_getaffinity(0)), help="how many run at a time"
     )
     parser.add_argument("--tests", nargs="+", help="tests to run in place of those of the room")
-    parser.add_argument(
-        "--unchanged", action="store_true", help="trust that the tests pass without a mutant"
-    )
     options = parser.parse_args()
 
     mutants = draw(options.places, options.number, options.seed)
-    number = Counter(mutant.room for mutant in mutants)
-    noticed: Counter = Counter()
-    tests = {room: options.tests or tests_of(room) for room in number}
+    rooms = sorted({mutant.room for mutant in mutants})
+    tests = {room: options.tests or tests_of(room) for room in rooms}
+    noticed: dict[Mutant, str] = {}
     print(f"{len(mutants)} mutants, seed {options.seed}", flush=True)
-    with ThreadPoolExecutor(options.jobs) as executor:
-        if not options.unchanged:
-            for room, (passed, line) in zip(
-                tests, executor.map(lambda room: run_tests(None, tests[room]), tests), strict=True
-            ):
-                if not passed:
-                    sys.exit(f"the tests of {room} fail without a mutant: {line}")
-        ordered = [nearest_first(tests[mutant.room], mutant.path) for mutant in mutants]
-        results = executor.map(run_tests, mutants, ordered)
-        for mutant, (passed, line) in zip(mutants, results, strict=True):
-            noticed[mutant.room] += not passed
+    with ProcessPoolExecutor(
+        options.jobs, mp_context=get_context("spawn"), max_tasks_per_child=1
+    ) as processes:
+        of_rooms = [[mutant for mutant in mutants if mutant.room == room] for room in rooms]
+        for room, tried in zip(
+            rooms, processes.map(exchange, of_rooms, tests.values()), strict=True
+        ):
+            if tried.failing:
+                sys.exit(f"the tests of {room} fail without a mutant: {tried.failing}")
+            noticed |= tried.noticed
+            for mutant, test in tried.noticed.items():
+                print(f"noticed  {mutant}\n         by {test}", flush=True)
+    left = [mutant for mutant in mutants if mutant not in noticed]
+    with ThreadPoolExecutor(options.jobs) as threads:
+        ordered = [nearest_first(tests[mutant.room], mutant.path) for mutant in left]
+        for mutant, (passed, line) in zip(left, threads.map(run_tests, left, ordered), strict=True):
+            if not passed:
+                noticed[mutant] = line
             print(
                 f"SURVIVED {mutant}" if passed else f"noticed  {mutant}\n         by {line}",
                 flush=True,
             )
-    for room in sorted(number):
-        print(f"{room}: {noticed[room]} of {number[room]}")
-    print(f"{noticed.total()} of {len(mutants)} noticed")
+    number, of_room = Counter(m.room for m in mutants), Counter(m.room for m in noticed)
+    for room in rooms:
+        print(f"{room}: {of_room[room]} of {number[room]}")
+    print(f"{len(noticed)} of {len(mutants)} noticed")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """A mutant changes executed statements and expressions, and nothing else."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import mutants
@@ -59,3 +61,18 @@ def test_the_tests_that_name_a_module_run_first():
     assert ordered[0] == "tests/theory/test_scattering.py"
     assert sorted(ordered) == sorted(tests)
     assert tests[-1] == "lmpchain/theory"
+
+
+@pytest.mark.slow
+def test_mutants_are_tried_by_exchange_and_in_copies():
+    """A test that notices a mutant is named, and every mutant is counted once."""
+    words = ["lmpchain/util/arrays.py", "--number", "8", "--tests", "tests/util/test_arrays.py"]
+    tool = mutants.PROJECT / "tests" / "mutants.py"
+    done = subprocess.run(
+        [sys.executable, tool, *words], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    noticed = [line for line in done if line.startswith("noticed ")]
+    survived = [line for line in done if line.startswith("SURVIVED ")]
+    assert len(noticed) + len(survived) == 8
+    assert done[-1] == f"{len(noticed)} of 8 noticed"
+    assert any(line.startswith("         by tests/util/test_arrays.py::") for line in done)
