@@ -312,14 +312,14 @@ class Chain(ChainPicture, Checked):
 
     @property
     def contact_law(self) -> ContactLaw:
-        """The law with the parameters of all contacts, walls included."""
-        law = self.law
-        return law.with_walls(self.grains) if isinstance(law, Law) else law
+        """The law with the parameters and constants of all contacts, walls included."""
+        # The contacts of a power law are not derived for this.
+        return self.contacts.law if isinstance(self.law, Law) else self.law
 
     @property
     def strongest_when_closest(self) -> bool:
         """Whether the force of every contact is largest when its grains are closest."""
-        return self.damping.longest_time == 0 and self.law.grows
+        return self.damping.longest_time == 0 and self.contact_law.grows
 
     @property
     def ground(self) -> Law | None:
@@ -429,12 +429,12 @@ class Chain(ChainPicture, Checked):
     @cached_property
     def compressed(self) -> bool:
         """Whether contacts are stiff at rest, by a force or a bond; False in a sonic vacuum."""
-        return self.gravity > 0 or self.top_load > 0 or self.law.bonds
+        return self.gravity > 0 or self.top_load > 0 or self.contact_law.bonds
 
     @cached_property
     def loose_grains(self) -> int:
         """Number of grains above the load that only touch, without weight; 0 if there are none."""
-        if self.law.bonds:
+        if self.contact_law.bonds:
             return 0
         return self.load_grain - 1 if self.top_load > 0 and self.gravity == 0 else 0
 

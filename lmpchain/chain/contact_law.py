@@ -125,6 +125,14 @@ class ContactLaw(ABC):
         """Whether the force decreases at no overlap."""
         return True
 
+    def with_walls(self, grains: int) -> ContactLaw:
+        """Return the law with parameters of all contacts of a chain, walls included."""
+        return self
+
+    def with_constants(self, constant: Array) -> ContactLaw:
+        """Return the law of contacts with these constants, (..., N+1); 0 for missing walls."""
+        return self
+
     def of(self, numbers: Any) -> ContactLaw:
         """Return the law of a selection of contacts, with their parameters."""
         return self
@@ -406,6 +414,7 @@ class Contacts:
     @classmethod
     def at_rest(cls, constant: Array, force: Array, law: ContactLaw) -> Contacts:
         """Return contacts with these constants, N/m^delta, and these forces at rest, N."""
+        law = law.with_constants(constant)
         # Without a wall the constant is 0, and 0 / 0 would be NaN.
         overlap = law.overlap(force, np.where(constant > 0, constant, 1.0))
         if law.bonds:

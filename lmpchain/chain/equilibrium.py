@@ -122,7 +122,7 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
         force[..., -1] = 0.0
     shape = (*rows, grains + 1)
     return Equilibrium(
-        Contacts.at_rest(_fill(shape, constants), force, chain.contact_law),
+        Contacts.at_rest(_fill(shape, constants), force, chain.law.with_walls(grains)),
         read_only(_fill(shape, lengths)),
         read_only(_spread(masses.shape, diameter)),
         read_only(masses),

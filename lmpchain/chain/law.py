@@ -496,13 +496,31 @@ class Law(ContactLaw):
         sound = ~np.isnan(values)
         return places[sound], values[sound]
 
+    @property
+    def kinds(self) -> Array:
+        """The parameters and, in the last row, the constants of all kinds of contacts, (P+1, C).
+
+        Of contacts that differ only in their constants, only the extreme ones are listed.
+        """
+        # Contacts of a chain have stored them.
+        if "_kinds" in self.__dict__:
+            return np.asarray(self.__dict__["_kinds"])
+        values = [self.given[key] for key in self.names]
+        return _extremes(*values, self.given.get("k", 1.0))
+
+    def with_constants(self, constant: Array) -> Law:
+        """Return the law of contacts with these constants, (..., N+1); 0 for missing walls."""
+        in_formula = constant if "k" in self.formula.names else 1.0
+        columns = np.broadcast_arrays(*self.parameters, in_formula, constant > 0)
+        law = self.with_parameters(self.parameters)
+        law.__dict__["_kinds"] = _extremes(*(x[columns[-1]] for x in columns[:-1]))
+        return law
+
     @cached_property
     def _shape(self) -> tuple[bool, bool, bool]:
         """Whether contacts pull, whether the force is non-decreasing, and whether contacts bond."""
         pulls, grows, bonds = False, True, True
-        parameters = np.array([np.ravel(p) for p in np.broadcast_arrays(*self.parameters)])
-        constant = float(np.max(self.given.get("k", 1.0)))
-        for values in np.unique(parameters, axis=1).T if self.parameters else [()]:
+        for *values, constant in self.kinds.T:
             alone = self.with_parameters(values)
             places, force = alone._sampled(constant)
             pulls |= bool((force[places < 0] != 0).any())
@@ -574,7 +592,11 @@ class Law(ContactLaw):
         for values in zip(*(law.parameters for law in laws), strict=True):
             width = max(map(np.size, values))
             rows.append(np.array([np.broadcast_to(value, width) for value in values]))
-        return self.with_parameters(map(read_only, rows))
+        common = self.with_parameters(map(read_only, rows))
+        common.__dict__["_kinds"] = _extremes(
+            *np.hstack([law.kinds for law in laws if isinstance(law, Law)])
+        )
+        return common
 
     def part(self, first: int, last: int) -> Law:
         """Return the law of grains `first` to `last` of a chain."""
@@ -1006,7 +1028,17 @@ def _bend_at(formula: Formula, kink: float, variable: str) -> float:
     return float(COMPARED)
 
 
-KEPT_FIELDS = (*ContactLaw.__dataclass_fields__, "formula", "given")
+KEPT_FIELDS = (*ContactLaw.__dataclass_fields__, "formula", "given", "_kinds")
+
+
+def _extremes(*rows: Any) -> Array:
+    """Return the distinct columns of these rows, (R, C).
+
+    Of columns that differ only in the last row, only the two extreme ones are returned.
+    """
+    columns = np.unique([np.ravel(row) for row in np.broadcast_arrays(*rows)], axis=1)
+    differs = (columns[:-1, 1:] != columns[:-1, :-1]).any(axis=0)
+    return columns[:, np.append(True, differs) | np.append(differs, True)]
 
 
 def _law(value: Any) -> Any:

@@ -292,7 +292,7 @@ class SceneFacts(Recording):
         approach = contacts.closer(excitation.largest(chain)[1])
         # A driven body moves both ways and squeezes the contacts on both sides in turn. A body that
         # is bonded to its neighbours does so as well.
-        if excitation.does_work or chain.law.bonds:
+        if excitation.does_work or contacts.law.bonds:
             closer = np.abs(closer)
             approach = np.abs(approach)
         approach = np.maximum(approach, 0.0)

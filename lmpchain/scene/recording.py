@@ -102,7 +102,7 @@ class Recording(Checked):
                 numbers = f"the contacts are numbered {existing[0]} to {existing[-1]}"
             yield "quantities", f"{numbers} (got {missing[0]})"
         peaks = [name for name in self.contacts if name.startswith(OF_CONTACTS[0])]
-        if peaks and chain.damping.longest_time > 0 and not chain.law.grows:
+        if peaks and chain.damping.longest_time > 0 and not chain.contact_law.grows:
             cure = f"ask for force:{self.contacts[peaks[0]]}, the force over time"
             fault = "is not found in viscous contacts whose force may decrease with the overlap"
             yield "quantities", f"{peaks[0]} {fault}: {cure}"

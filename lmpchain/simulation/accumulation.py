@@ -149,7 +149,7 @@ class Gatherer:
         if not self._viscous:
             closest, doubt = self._accumulator.closest(row, doubts[0])
             force, off = self._forces(number, np.array([closest, np.zeros(1)]), (doubt, 0.0))
-            if self._scene.chain.law.grows or self._linear:
+            if self._scene.chain.contact_law.grows or self._linear:
                 return force, off
             # The force may be larger before the contact is closest.
             contacts = self._scene.chain.contacts

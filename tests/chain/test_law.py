@@ -14,7 +14,7 @@ from helpers.example_scenes import scene_of
 from scipy.integrate import quad
 
 from lmpchain import Chain, Impulse, InputError, Law, laws, simulate
-from lmpchain.chain.contact_law import Contacts
+from lmpchain.chain.contact_law import Contacts, together
 from lmpchain.chain.formula import parse
 
 LAWS = [
@@ -478,6 +478,29 @@ def test_the_largest_force_of_a_contact_may_be_at_a_smaller_overlap() -> None:
     # The force may be largest at a kink between the sampled overlaps.
     peaked = Law("k*(max(o, 0) - 9*max(o - L, 0))", k=K, L=0.12345 * WIDTH)
     assert peaked.largest_force(0.0, WIDTH, K)[0] == pytest.approx(0.12345 * K * WIDTH, rel=1e-14)
+
+
+def test_the_shape_of_a_law_is_that_for_the_constants_of_its_contacts() -> None:
+    """The force may decrease for some constants only; its largest value is then before the end."""
+    common: dict[str, Any] = {"grains": 4, "diameter": 0.1, "masses": [1e-6] * 4, "gravity": 0.0}
+    # The slope of k o - a o^2 + b o^3 has no sign if a^2 > 3 b k, which is 1500 here.
+    for constants, grows in (([K, 2e3, K], True), ([1e3, K, K], False), ([K, K, 1e3], False)):
+        by_chain = Chain(**common, law=laws.fput(3e9, 2e15), contact_constants=constants)
+        by_law = Chain(**common, law=laws.fput(3e9, 2e15, constants))
+        for chain in (by_chain, by_law, by_chain.part(1, 4)):
+            assert chain.strongest_when_closest == chain.contact_law.grows == grows
+        both = together([by_chain.contacts, by_chain.replace(contact_constants=[K] * 3).contacts])
+        assert np.isfinite(both.approach_bound(1e-20)).all() == grows
+    # Constants and parameters are those of the same contact.
+    paired = laws.fput([3e9, 0.0, 3e9], 2e15, [K, 1.0, K])
+    assert Chain(**common, law=paired).contact_law.grows
+    assert Chain(**common, law=laws.fput(3e9, 2e15), contact_constants=[K] * 3).compressed
+    dip = Law("c*max(o, 0) - k*max(o - L, 0) + 2*k*max(o - 3*L, 0)", c=K, L=WIDTH)
+    weak = Chain(**common | {"grains": 2, "masses": [1e-6] * 2}, law=dip, contact_constants=[1.5e4])
+    speed = np.sqrt(1.8 * K * WIDTH**2 / 1e-6)
+    scene = scene_of(weak, Impulse(velocity=speed), 1e-4, 11).replace(quantities=["peak_force:1"])
+    peak = simulate(scene, "native", tolerance=1e-8).gathered["peak_force:1"]
+    assert peak == pytest.approx(K * WIDTH, rel=1e-12)
 
 
 def test_a_bond_that_is_stretched_far_does_not_shorten_the_steps() -> None:
