@@ -293,10 +293,8 @@ class PowerForce(ContactLaw):
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N."""
-        # Below s = -1 the contact is open, and its force at rest is lost completely.
         s = r / np.where(contacts.pressed, contacts.overlap, np.inf)
-        relative = np.expm1(self.onset * np.log1p(np.where(s > -1, s, 0.0)))
-        change = contacts.force * np.where(s > -1, relative, -1.0)
+        change = contacts.force * _growth(s, self.onset)
         return np.where(contacts.pressed, change, self.force(r, contacts.constant))
 
     def energy_change(self, contacts: RestingContacts, r: Array) -> Array:
@@ -306,9 +304,8 @@ class PowerForce(ContactLaw):
         """
         power = self.onset + 1
         loose = contacts.constant / power * np.maximum(r, 0.0) ** power
-        s = r / np.where(contacts.pressed, contacts.overlap, 1.0)
-        y = np.log1p(np.where(s > -1, s, 0.0))
-        exact = np.where(s > -1, np.expm1(power * y), -1.0) / power - s
+        s = r / np.where(contacts.pressed, contacts.overlap, np.inf)
+        exact = _growth(s, power) / power - s
         # The two terms cancel for small s, so the binomial series is summed instead.
         series = np.zeros_like(s)
         for k in range(11, 1, -1):
@@ -321,6 +318,12 @@ class PowerForce(ContactLaw):
         if contacts.pressed:
             return contacts.overlap * np.expm1(np.log1p(force / contacts.force) / self.onset)
         return self.overlap(force, contacts.constant)
+
+
+def _growth(strain: Array, power: float) -> Array:
+    """Return (1 + s)^p - 1 without cancellation; -1 below s = -1, where the contact is open."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.expm1(power * np.log1p(np.maximum(strain, -1.0))))
 
 
 def _power(overlap: Any, constant: Any, exponent: Any) -> Any:

@@ -275,7 +275,7 @@ class Law(ContactLaw):
         with np.errstate(all="ignore"):
             for place in _kink_functions(self.formula, tuple(self.names), self.of_ground):
                 row = np.broadcast_to(place(constant, parameters), shape)
-                row = np.where(np.abs(row) < LARGEST, row, LARGEST) + 0.0
+                row = np.where(np.abs(row) < LARGEST, row, LARGEST)
                 if not any(np.array_equal(row, other) for other in rows):
                     rows = np.concatenate((rows, row[None]))
         return rows if shape else np.sort(rows)

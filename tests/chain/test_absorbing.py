@@ -14,6 +14,7 @@ PRESSED = {"gravity": 0.0, "top_load": 20.0, "bottom": "wall"}
 UNIFORM = Chain(grains=30, diameter=1e-2, material="steel", **PRESSED)
 GROUND = lmpchain.Law("k*u", k=1e6)
 DIMER = patterns.periodic(41, 1e-2, ["steel", "ptfe"], **PRESSED)
+TRIMER = patterns.periodic(41, 1e-2, ["steel", "ptfe", "brass"], **PRESSED)
 # Contacts at a kink are stiff, but no wave is linear there.
 LOOSE = UNIFORM.replace(top_load=0.0, law=lmpchain.laws.bilinear(0.3))
 VISCOUS = {"viscoelastic": 0.001 / DIMER.band_edge}
@@ -47,11 +48,14 @@ def given_back(chain: Chain, before: int, cell: int, omega: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("chain", "cell"),
-    [(UNIFORM, 1), (DIMER.replace(damping=VISCOUS), 2), (DIMER.replace(ground=GROUND), 2)],
-    ids=["uniform", "viscous dimer", "dimer on a ground"],
+    ("chain", "cell", "bottom"),
+    [
+        (UNIFORM, 1, "fixed"),
+        (DIMER.replace(damping=VISCOUS), 2, "wall"),
+        (TRIMER.replace(ground=GROUND), 3, "fixed"),
+    ],
+    ids=["uniform", "viscous dimer", "trimer on a ground"],
 )
-@pytest.mark.parametrize("bottom", ["wall", "fixed"])
 def test_reflection_equals_that_of_the_whole_linear_system(chain, cell, bottom):
     absorbs = patterns.absorbing(chain.replace(bottom=bottom), bottom=60)
     bands = scattering.reflection(absorbs, 60).bands

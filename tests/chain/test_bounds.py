@@ -96,6 +96,10 @@ def test_least_compressions_of_long_chains() -> None:
     expected = (force / constant) ** (2 / 3) / 1e-3
     assert least_compression(few, 10**6, 2.0, 9.81, hertz) == pytest.approx(expected, rel=1e-12)
     assert least_compression(few, 10**6 - 1, 2.0, 9.81, hertz) == 0.0
+    by_square = (force / (constant * 1e-3**-0.5)) ** 0.5 / 1e-3
+    assert least_compression(few, 10**6, 2.0, 9.81, power_law(2.0)) == pytest.approx(
+        by_square, rel=1e-12
+    )
     text = "k*max(o, 0)**1.5*c"
     same = Law(text, c=1.0)
     assert least_compression(few, 10**6, 2.0, 9.81, same) == pytest.approx(expected, rel=1e-12)

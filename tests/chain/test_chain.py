@@ -2,14 +2,12 @@
 
 import dataclasses
 import tracemalloc
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from helpers.example_chains import BETWEEN, CHAINS, DISORDERED, RIGID, WALLED, column
 from helpers.example_scenes import random_scene, scene_of, struck
 from helpers.faults import fault_keys, faults
-from scipy.integrate import quad
 
 import lmpchain
 from lmpchain import (
@@ -79,50 +77,20 @@ def test_contact_constant_for_any_exponent(exponent: float):
     )
 
 
-def test_equal_lists_make_a_uniform_chain():
-    one = column(5, material="steel")
-    many = Chain(grains=5, material=[STEEL] * 5, diameter=[1e-3] * 5)
-    assert np.array_equal(one.masses, many.masses)
-    assert np.array_equal(one.equilibrium_overlap, many.equilibrium_overlap)
-
-
-@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.7])
-def test_a_wall_of_the_same_material_is_sqrt_2_times_as_stiff(exponent: float):
-    chain = Chain(grains=4, material=STEEL, diameter=3e-3, exponent=exponent, **BETWEEN)
-    assert chain.wall_constants == pytest.approx(
-        np.sqrt(2) * chain.contact_constants[0], rel=1e-15, abs=0
-    )
-    rigid = Chain(
-        grains=4,
-        material=STEEL,
-        diameter=3e-3,
-        exponent=exponent,
-        **BETWEEN,
-        top_material=RIGID,
-        bottom_material=RIGID,
-    )
-    assert rigid.wall_constants == pytest.approx(
-        2 * np.sqrt(2) * chain.contact_constants[0], rel=1e-15, abs=0
-    )
-
-
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
-def test_wall_constants_of_other_materials(exponent: float):
-    """K = (4/3) E* sqrt(R) d^(1.5 - delta), with radius and diameter of the grain at the wall."""
+@pytest.mark.parametrize("walls", [{}, {"top": BRASS, "bottom": TUNGSTEN_CARBIDE}, {"top": RIGID}])
+def test_wall_constants(exponent: float, walls: dict[str, Material]):
+    """K = (4/3) E* sqrt(R) d^(1.5 - delta), with radius and diameter of the grain at the wall.
+
+    By default a wall has the material of this grain.
+    """
     chain = Chain(
-        grains=3,
-        material=[GLASS, STEEL, PTFE],
-        diameter=[1e-3, 2e-3, 5e-3],
-        exponent=exponent,
-        **BETWEEN,
-        top_material=BRASS,
-        bottom_material="tungsten_carbide",
-    )
-    ends = [(GLASS, 1e-3, BRASS), (PTFE, 5e-3, TUNGSTEN_CARBIDE)]
+        grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent,
+        **BETWEEN, **{f"{end}_material": material for end, material in walls.items()},
+    )  # fmt: skip
+    ends = [(GLASS, 1e-3, walls.get("top", GLASS)), (PTFE, 5e-3, walls.get("bottom", PTFE))]
     for constant, (grain, d, wall) in zip(chain.wall_constants, ends, strict=True):
-        soft = (1 - grain.poissons_ratio**2) / grain.youngs_modulus + (
-            1 - wall.poissons_ratio**2
-        ) / wall.youngs_modulus
+        soft = sum((1 - m.poissons_ratio**2) / m.youngs_modulus for m in (grain, wall))
         assert constant == pytest.approx(
             4 / 3 / soft * np.sqrt(d / 2) * d ** (1.5 - exponent), rel=1e-14, abs=0
         )
@@ -242,107 +210,22 @@ def test_band_edge_of_a_free_pair_and_of_a_vacuum():
     assert not vacuum.compressed
 
 
-def contact_energy(chain: Chain, n: int, r: float) -> float:
-    """Return the work done on contact n by a closer approach r, less the work of its rest force, J.
-
-    Contact 0 is with a wall above.
-    """
-    eps = chain.contacts.overlap[n]
-    force = chain.contacts.force[n]
-    delta = chain.exponent
-    if force == 0:
-        return quad(
-            lambda x: chain.contacts.constant[n] * x**delta,
-            0.0,
-            max(r, 0.0),
-            epsabs=0,
-            epsrel=1e-13,
-        )[0]
-
-    def change(s: float) -> float:  # (1 + s)^delta - 1 without cancellation, -1 if open.
-        return np.expm1(delta * np.log1p(s)) if s > -1 else -1.0
-
-    total = 0.0
-    s = r / eps
-    edges = [0.0, -1.0, s] if s < -1 else [0.0, s]
-    for a, b in pairwise(edges):
-        total += quad(change, a, b, epsabs=0, epsrel=1e-13, limit=200)[0]
-    return force * eps * total
-
-
-@pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 2.7])
-@pytest.mark.parametrize(
-    "stretch",
-    [
-        -7.0,
-        -1.5,
-        -1.0,
-        -0.999,
-        -0.3,
-        -0.0201,
-        -0.0199,
-        -1e-5,
-        -1e-9,
-        1e-12,
-        1e-6,
-        0.0199,
-        0.0201,
-        0.5,
-        40.0,
-    ],
-)
-def test_excess_energy_of_one_contact(exponent: float, stretch: float):
-    chain = column(3, exponent=exponent)
-    r = stretch * chain.equilibrium_overlap[0]
-    u = np.array([r, 0.0, 0.0])
-    v = np.zeros(3)
-    assert chain.excess_energy(u, v) == pytest.approx(contact_energy(chain, 1, r), rel=2e-11, abs=0)
-
-
-def test_excess_energy_of_a_chain(rng):
-    v = rng.normal(size=30) * 1e-4
-    for size in (1e-6, 0.1, 3.0):
-        u = rng.normal(size=30) * size * DISORDERED.length_scale
-        closer = u[:-1] - u[1:]
-        expected = sum(contact_energy(DISORDERED, n, r) for n, r in enumerate(closer, 1))
-        assert DISORDERED.excess_energy(u, 0 * v) == pytest.approx(expected, rel=1e-11, abs=0)
-        moving = expected + (DISORDERED.masses * v**2).sum() / 2
-        assert DISORDERED.excess_energy(u, v) == pytest.approx(moving, rel=1e-11, abs=0)
-
-
-@pytest.mark.parametrize(
-    "chain", [WALLED["disordered"], WALLED["just touched above"]], ids=["pressed", "loose"]
-)
-def test_excess_energy_between_walls(rng: np.random.Generator, chain: Chain):
-    for size in (1e-6, 0.1, 3.0):
-        for sign in (1, -1):
+def test_the_energy_of_a_chain_is_that_of_its_contacts_and_grains(rng: np.random.Generator):
+    """The integral of K o^delta over the overlap o, less the work of the force at rest."""
+    for chain in (DISORDERED, WALLED["disordered"], WALLED["just touched above"]):
+        contacts = chain.contacts
+        power = chain.exponent + 1
+        for size in (0.1, 3.0, -3.0):
+            v = rng.normal(size=30) * 1e-4
             u = rng.normal(size=30) * size * chain.length_scale
-            u[0] = sign * abs(u[0])
-            between = np.concatenate(([0.0], u, [0.0]))
-            energy = [contact_energy(chain, n, r) for n, r in enumerate(between[:-1] - between[1:])]
-            assert chain.excess_energy(u, 0 * u) == pytest.approx(sum(energy), rel=1e-11, abs=0)
-            single = chain.contacts.energy(between[:-1] - between[1:])
-            assert single == pytest.approx(energy, rel=2e-11, abs=0)
-            if sign > 0 and chain.top_load == 0:
-                assert single[0] == 0
-
-
-def test_excess_energy_of_contacts_that_rest(rng):
-    """Columns at rest in many samples are skipped, without effect on the other energies."""
-    contacts = column(9, bottom="wall").contacts
-    r = rng.normal(size=(5, 10)) * contacts.overlap[-1]
-    r[:, [0, 4, 8, 9]] = 0.0
-    assert np.array_equal(contacts.energy(r), [contacts.energy(row) for row in r])
-
-
-def test_excess_energy_in_the_vacuum():
-    chain = column(3, gravity=0.0)
-    k = chain.contact_constants[0]
-    energies = chain.excess_energy(
-        np.array([[1e-8, 0, 0], [-1e-8, 0, 0], [0, 1e-8, 0]]), np.zeros(3)
-    )
-    assert energies.shape == (3,)
-    assert energies == pytest.approx([0.4 * k * 1e-20, 0.0, 0.4 * k * 1e-20], rel=1e-12, abs=1e-40)
+            u[0] = np.sign(size) * abs(u[0])
+            r = -np.diff(u, prepend=0.0, append=0.0)
+            overlaps = np.maximum(contacts.overlap + r, 0.0), contacts.overlap
+            held, rest = (contacts.constant * o**power / power for o in overlaps)
+            elastic = held - rest - contacts.force * r
+            assert contacts.energy(r) == pytest.approx(elastic, rel=1e-8, abs=1e-12 * elastic.max())
+            expected = elastic.sum() + (chain.masses * v**2).sum() / 2
+            assert chain.excess_energy(u, v) == pytest.approx(expected, rel=1e-11, abs=0)
 
 
 def test_minus_its_slope_is_the_force(rng):
@@ -378,24 +261,22 @@ def test_no_contact_exceeds_the_bound_on_its_overlap(rng):
     assert closest > 0.9  # The bound is not so wide that it is useless.
 
 
-def test_the_bound_is_reached_by_a_grain_thrown_at_the_fixed_grain():
-    chain = column(2, gravity=0.0)
-    scene = struck(chain, 1e-2, 2e-5, 2001)
+@pytest.mark.parametrize(
+    ("wall", "ends"),
+    [(-1, {}), (0, {"top": "wall", "top_material": STEEL, "bottom": "free"})],
+    ids=["fixed grain", "wall"],
+)
+def test_the_bound_is_reached_by_a_grain_thrown_at_the_end(wall: int, ends: dict):
+    chain = column(2, gravity=0.0, **ends)
+    speed = 1e-2 if wall else -1e-2
+    scene = struck(chain, speed, 2e-5, 2001)
     run = simulate(scene, "native", 1e-9, adaptive=False)
-    deepest = (1.25 * chain.masses[0] * 1e-4 / chain.contact_constants[0]) ** 0.4
-    assert chain.contacts.overlap_bound(scene.energy)[1:-1] == pytest.approx(
-        deepest, rel=1e-12, abs=0
-    )
-    assert run.displacement[:, 0].max() == pytest.approx(deepest, rel=1e-5, abs=0)
-
-
-def test_the_bound_is_reached_by_a_grain_thrown_at_a_wall():
-    chain = column(2, gravity=0.0, top="wall", top_material=STEEL, bottom="free")
-    scene = struck(chain, -1e-2, 2e-5, 2001)
-    run = simulate(scene, "native", 1e-9, adaptive=False)
-    deepest = (1.25 * chain.masses[0] * 1e-4 / chain.wall_constants[0]) ** 0.4
-    assert chain.contacts.overlap_bound(scene.energy)[0] == pytest.approx(deepest, rel=1e-12, abs=0)
-    assert -run.displacement[:, 0].min() == pytest.approx(deepest, rel=1e-5, abs=0)
+    constant = chain.wall_constants[0] or chain.contact_constants[0]
+    deepest = (1.25 * chain.masses[0] * 1e-4 / constant) ** 0.4
+    bound = chain.contacts.overlap_bound(scene.energy)[:-1]
+    assert bound[wall] == pytest.approx(deepest, rel=1e-12, abs=0)
+    reached = (np.sign(speed) * run.displacement[:, 0]).max()
+    assert reached == pytest.approx(deepest, rel=1e-5, abs=0)
 
 
 def test_an_impurity_is_a_grain_given_by_itself():

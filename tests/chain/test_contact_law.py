@@ -10,7 +10,7 @@ from helpers.example_chains import column
 from helpers.example_scenes import struck
 
 from lmpchain import Chain, Impurity, InputError, Law, Scene
-from lmpchain.chain.bounds import LIMITS, bounds, least_compression
+from lmpchain.chain.bounds import bounds
 from lmpchain.chain.contact_law import (
     Contacts,
     PowerForce,
@@ -19,7 +19,7 @@ from lmpchain.chain.contact_law import (
     pair_value,
     together,
 )
-from lmpchain.chain.materials import GLASS, PTFE, STEEL, Kinds, Material, kinds
+from lmpchain.chain.materials import GLASS, PTFE, STEEL, kinds
 
 EXPONENTS = (1.0, 1.3, 1.5, 2.0, 3.0)
 STRAINS = np.array([-3.0, -1.5, -1.0, -0.99, -0.5, -0.03, -0.019, -1e-5, -1e-12, 0.0])
@@ -288,24 +288,6 @@ def test_the_energy_by_a_moved_wall() -> None:
     assert chain.excess_energy(still, still) == 0.0
     moving = np.array([1e-3, 0.0, 0.0])
     assert chain.excess_energy(still, moving) == pytest.approx(0.5e-6 * chain.masses[0], rel=1e-15)
-
-
-def test_a_long_chain_is_judged_by_its_common_grains() -> None:
-    """From a million grains on, the weight of the common grains gives a lower bound."""
-    material = Material(density=1.0, youngs_modulus=6e10, poissons_ratio=0.0)
-    both = Kinds([material, material], [1e-3, 2e-3], [1e-6, 1e-5])
-    assert least_compression(both, LIMITS.long_chain - 1, 0.0, 9.81, PowerForce(1.5)) == 0.0
-    constant = 2 / 3 * 6e10 * np.sqrt(1e-3 / 4)
-    force = 0.3 + 9.81 * (LIMITS.long_chain - 6) * 1e-6
-    expected = (force / constant) ** (2 / 3) / 1e-3
-    assert least_compression(both, LIMITS.long_chain, 0.3, 9.81, PowerForce(1.5)) == pytest.approx(
-        expected, rel=1e-12
-    )
-    constant *= 1e-3**-0.5
-    expected = (force / constant) ** 0.5 / 1e-3
-    assert least_compression(both, LIMITS.long_chain, 0.3, 9.81, PowerForce(2.0)) == pytest.approx(
-        expected, rel=1e-12
-    )
 
 
 def faults(**fields: object) -> list[tuple[str, str]]:

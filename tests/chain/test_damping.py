@@ -9,7 +9,7 @@ from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 
 from lmpchain import Chain, Damping, Impulse, InputError, Scene
-from lmpchain.chain.damping import Pair, rebound, viscosity_of
+from lmpchain.chain.damping import rebound, viscosity_of
 from lmpchain.chain.materials import STEEL
 
 
@@ -94,16 +94,6 @@ def collision(viscosity: float, exponent: float) -> float:
 )
 def test_the_rebound_agrees_with_the_velocity_form(viscosity, exponent):
     assert rebound(viscosity, exponent) == pytest.approx(collision(viscosity, exponent), abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("viscosity", "restitution"),
-    # Two spheres with K = m = 1 and a reduced mass of 1/2, computed by DOP853 at 1e-13.
-    [(0.01, 0.977478944277684), (0.02, 0.955559729739210), (0.05, 0.893193701608472)],
-)
-def test_known_rebounds(viscosity, restitution):
-    pair = Pair(constant=1.0, mass=0.5, exponent=1.5)
-    assert rebound(viscosity / pair.time(1.0), 1.5) == pytest.approx(restitution, abs=1e-12)
 
 
 @pytest.mark.parametrize("ratio", [1e-3, 0.1, 0.5, 0.9])

@@ -1,6 +1,5 @@
 """Patterned chains: single grains, and derived values by formulas written out here."""
 
-from math import pi, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -59,12 +58,6 @@ def test_decorated(grains: int):
     assert plain.diameters.tolist() == ([3e-3, 0.75e-3] * 4)[:grains]
 
 
-def test_dimer():
-    chain = periodic(7, [2e-3, 1e-3], [STEEL, "ptfe"])
-    assert chain.diameters.tolist() == [2e-3, 1e-3, 2e-3, 1e-3, 2e-3, 1e-3, 2e-3]
-    assert materials(chain) == [STEEL, PTFE, STEEL, PTFE, STEEL, PTFE, STEEL]
-
-
 def test_cells_of_several_kinds():
     chain = periodic(10, [1e-3, 2e-3, 3e-3], ["glass", "steel", "ptfe"], [2, 1, 3])
     assert (chain.diameters * 1e3).round(9).tolist() == [1, 1, 2, 3, 3, 3, 1, 1, 2, 3]
@@ -93,25 +86,6 @@ def test_one_value_applies_to_all_kinds():
     # A single kind, whatever the count.
     assert periodic(5, 1e-3, counts=10**12).diameters.tolist() == [1e-3] * 5
     assert periodic(5, np.array([1e-3, 2e-3]), counts=np.array([1, 2])).diameters[2] == 2e-3
-
-
-@each_chain
-def test_masses_and_contacts_are_computed_from_the_two_grains(chain: Chain):
-    made = materials(chain)
-    for n in range(chain.grains):
-        assert chain.masses[n] == pytest.approx(
-            made[n].density * pi * chain.diameters[n] ** 3 / 6, rel=1e-13, abs=0
-        )
-    for n in range(chain.grains - 1):
-        one = made[n]
-        other = made[n + 1]
-        r = chain.diameters[n] / 2
-        s = chain.diameters[n + 1] / 2
-        soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (
-            1 - other.poissons_ratio**2
-        ) / other.youngs_modulus
-        hertz = 4 / 3 / soft * sqrt(r * s / (r + s)) * (r + s) ** (1.5 - chain.exponent)
-        assert chain.contact_constants[n] == pytest.approx(hertz, rel=1e-13, abs=0)
 
 
 @each_chain

@@ -55,6 +55,8 @@ def test_a_theory_names_the_property_that_it_does_not_support(
     # A ground that is smooth and constant does not move, nor does one with a kink.
     PLAIN.replace(ground=Law("k*u", k=1e5)).refuse_ground_without_modes("x")
     PLAIN.replace(ground=Law("k*max(u, 0)", k=1e5)).refuse_moving_ground("x")
+    assert PLAIN.conservative
+    assert chain.conservative == (key == "chain.load_grain")
 
 
 def test_a_bond_holds_grains_that_would_only_touch() -> None:
