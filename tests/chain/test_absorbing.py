@@ -154,6 +154,26 @@ def test_listed_parameters_of_laws_continue() -> None:
     assert found.drag == pytest.approx(expected.drag, rel=0.05)
 
 
+def test_a_layer_at_the_top_is_the_mirror_image_of_one_at_the_bottom() -> None:
+    """Three kinds of grains, contacts and grounds, between two walls."""
+    lists = {
+        "material": np.resize(["steel", "ptfe", "brass"], 41),
+        "viscoelastic": np.resize([1e-9, 3e-9, 2e-9], 40),
+        "k": np.resize([2e5, 1e5, 4e5], 41),
+    }
+    layers = []
+    for sign, size in ((1, {"top": 60, "bottom": 0}), (-1, {"bottom": 60})):
+        material, viscoelastic, k = (values[::sign].tolist() for values in lists.values())
+        chain = Chain(
+            grains=41, diameter=1e-2, material=material, **PRESSED | {"top": "wall"},
+            damping={"viscoelastic": viscoelastic}, ground=GROUND.replace(k=k),
+        )  # fmt: skip
+        absorbs = patterns.absorbing(chain, **size)
+        wave = scattering.reflection(absorbs, 60, "top" if sign > 0 else "bottom")
+        layers.append([*absorbs.drag[::sign], *np.abs(wave.amplitude)])
+    assert layers[0] == pytest.approx(layers[1], rel=1e-6)
+
+
 def test_a_short_layer_states_its_reflection_and_has_the_drag_of_a_power():
     with pytest.warns(UserWarning, match="absorbing layer of 12 grains") as told:
         absorbs = patterns.absorbing(DIMER, bottom=12)
@@ -162,6 +182,7 @@ def test_a_short_layer_states_its_reflection_and_has_the_drag_of_a_power():
     wave = scattering.reflection(absorbs, 12, frequency=middle)
     worst = 100 * np.abs(wave.amplitude).max() ** 2
     assert f"reflects {worst:.2g} % of the energy" in str(told[0].message)
+    assert told[0].filename == __file__
     # The drag of each grain is that at its centre.
     depth = (np.arange(12) + 0.5) / 12
     power = np.diff(np.log(absorbs.drag[-12:])) / np.diff(np.log(depth))

@@ -41,6 +41,7 @@ def struck_on(law: Law, velocity: float = 1e-3, samples: int = 41, **options) ->
         (Law("u*step(t - c)", c=1e-5), "ground.force", "of the displacement u alone"),
         (Law("u + c", c=1.0), "ground.force", "is not 0 at u = 0"),
         (Law("u*t + sin(t)"), "ground.force", "is not 0 at u = 0"),
+        (Law("max(u**2 - c, 0)", c=1e-12), "ground.force", "which is not linear in u"),
         (Law("c*u**0.5", c=1.0), "ground.force", "no finite stiffness"),
         (Law("c*u", c=[1.0, 2.0]), "ground.c", r"12 \(one per grain\), not 2"),
     ],

@@ -417,6 +417,9 @@ def test_the_four_panels_contain_the_numbers() -> None:
     levels = [line.get_ydata()[0] for line in growth.get_lines()[1:4]]
     assert levels == [1e-3, 1e-6, 1e-9]
     assert [text.get_text() for text in growth.texts] == ["0.001", "$10^{-6}$", "$10^{-9}$"]
+    assert [text.xy for text in growth.texts] == [(1, level) for level in levels]
+    assert {text.get_position() for text in growth.texts} == {(-2, 2)}
+    assert growth.get_ylim()[1] == 10.0
     ends = lines_of(growth)
     assert list(ends["predictable to $10^{-6}$, predicted"].get_xdata()) == [4e-4, 4e-4]
     assert list(ends["predictable to $10^{-6}$, measured"].get_xdata()) == [5e-4, 5e-4]
@@ -431,6 +434,8 @@ def test_the_four_panels_contain_the_numbers() -> None:
         1e-17,
     ]
     assert list(strength.get_lines()[-1].get_xdata()) == [1.0, 1.0]
+    (said,) = strength.texts
+    assert (said.get_text(), said.xy, said.get_position()) == ("this scene", (1.0, 0.6), (-4, 0))
     assert strength.get_xlabel() == "strength of the strike, over that of the scene"
     assert strength.get_ylabel() == "relative error"
     for axes, scales in (
@@ -498,6 +503,21 @@ def test_long_measurements_are_replaced_by_predictions(monkeypatch: pytest.Monke
     assert curves["Eq. (3), estimate"].y == pytest.approx([look.error for look in looks], rel=1e-9)
     assert curves["Eq. (3), at most"].y == pytest.approx([look.at_most for look in looks], rel=1e-9)
     assert {curve.panel for curve in result.curves} == {"strength"}
+
+
+def test_the_expected_time_is_that_of_runs_and_followed_periods() -> None:
+    """A search takes 60 runs at the limit; energies are followed for 1000 periods of 40 steps."""
+    for scene in (STRUCK, WEAK.replace(duration=1e-2)):
+        expected = 0.0
+        for name, method in METHODS.items():
+            costs = [Native().seconds_per_grain_step]
+            if name == "verlet":
+                costs.append(Lammps().seconds_per_grain_step)
+            work = 12 * method.evaluations
+            searches = [60 * scene.duration / limit(scene, name) * work * cost for cost in costs]
+            follow = 40_000 * work * costs[0]
+            expected += sum(time for time in (*searches, follow) if time < find.LONGEST_S)
+        assert find._expected_s(scene) == pytest.approx(expected, rel=1e-12)
 
 
 def test_missing_predictions_state_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -99,16 +99,6 @@ def test_linear_theory_has_the_predicted_error(norm, error):
         )
 
 
-def test_strike_numbers_at_one_percent():
-    """The values are 0.04 for velocities at 100 us, 0.1 for displacements, 0.3 for peaks."""
-    found = {
-        norm: linear_theory.strike_number_at(0.01, norm, grain=19) for norm in linear_theory.LINEAR
-    }
-    assert found == pytest.approx(
-        {"velocity": 0.0373, "displacement": 0.110, "package": 0.0746, "peak": 0.322}, rel=0.01
-    )
-
-
 def test_error_of_linear_theory_without_any_engine():
     """The exact series of Eq. (3) is compared with Taylor series for Eq. (1).
 

@@ -77,6 +77,10 @@ def test_every_limit_is_found_and_predicted(found: Stability):
 def test_curves(found: Stability):
     names = {curve.name for curve in found.curves if curve.panel == "energy"}
     assert {"verlet", "rkn6", "gear4"} <= names
+    for curve in found.curves:
+        if curve.panel == "energy":
+            assert curve.x.size == 401
+            assert curve.x[-1] == pytest.approx(1000 * 2 * np.pi / FEW.band_edge, rel=1e-12)
     growth = next(curve for curve in found.curves if curve.panel == "growth")
     assert growth.y[0] == pytest.approx(1e-13, rel=1e-2, abs=0)
     assert growth.y[-1] > 1e-12
