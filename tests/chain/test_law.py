@@ -17,6 +17,7 @@ from scipy.integrate import quad
 from lmpchain import Chain, Impulse, InputError, Law, laws, simulate
 from lmpchain.chain.contact_law import Contacts, together
 from lmpchain.chain.formula import parse
+from lmpchain.chain.law import solve_growing
 
 LAWS = [
     ("k*max(o, 0)**1.5*(1 + c*o)", {"k": 2.0, "c": 3.0}),
@@ -402,6 +403,29 @@ def test_overlaps_under_a_force_and_an_energy_have_closed_forms() -> None:
     for law, bounded in ((tanh, True), (adhesive, False)):
         contacts = Contacts.at_rest(np.array([K]), np.array([4e-3]), law)
         assert np.isfinite(contacts.approach_bound(1e-12)).all() == bounded
+
+
+def test_a_growing_function_is_inverted_between_0_and_infinity() -> None:
+    """Powers, exponentials and saturating functions; a jump is found where it passes the value."""
+    target = np.array([0.0, 1e-12, 0.3, 0.999, 7.0, 1e200, np.inf])
+    with np.errstate(all="ignore"):
+        exact = {
+            "power": (lambda x: x**2.5, lambda x: 2.5 * x**1.5, target**0.4),
+            "exponential": (np.expm1, np.exp, np.log1p(target)),
+            "saturating": (np.tanh, lambda x: np.cosh(x) ** -2.0, np.arctanh(target)),
+            "jump": (lambda x: x + 10.0 * (x >= 1), np.ones_like, np.minimum(target, 1.0)),
+        }
+        exact["saturating"][2][4:] = np.inf
+        exact["jump"][2][5:] = target[5:]
+    for function, slope, x in exact.values():
+        for start in (1e-6, 1e5):
+            assert solve_growing(function, slope, target, start) == pytest.approx(x, rel=1e-12)
+    # Springs have overlaps up to 100 m.
+    ends = np.array([-99.0, 99.0])
+    assert Law("k*o", k=2.0).overlap(2 * ends) == pytest.approx(ends, rel=1e-14)
+    for force in (-201.0, 201.0):
+        with pytest.raises(InputError, match="has no equilibrium under"):
+            Law("k*o", k=2.0).overlap(force)
 
 
 def test_only_the_powers_of_the_package_replace_a_formula() -> None:
