@@ -133,8 +133,17 @@ class ContactLaw(ABC):
         """Return the law of contacts with these constants, (..., N+1); 0 for missing walls."""
         return self
 
-    def of(self, numbers: Any) -> ContactLaw:
-        """Return the law of a selection of contacts, with their parameters."""
+    def of(self, numbers: Any, dimensions: int = 1) -> ContactLaw:
+        """Return the law of a selection of contacts or, of many chains, of chains.
+
+        Parameters
+        ----------
+        numbers : index
+            Index of the first axis of arrays.
+        dimensions : int
+            Dimensions of the arrays of contacts: 1 for those of a chain, (N+1,), and 2 for those of
+            many chains. Parameters of fewer dimensions are common to the selection.
+        """
         return self
 
     @property
@@ -453,7 +462,8 @@ class Contacts:
     def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
         """Return a selection of these contacts, or of these chains."""
         # The first axis of the arrays of many chains numbers the chains.
-        return Contacts(self.law.of(numbers), *(values[numbers] for values in self.arrays))
+        law = self.law.of(numbers, self.constant.ndim)
+        return Contacts(law, *(values[numbers] for values in self.arrays))
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is from now on fixed."""

@@ -573,12 +573,12 @@ class Law(ContactLaw):
         index = np.clip(np.arange(grains + 1) - 1, 0, max(grains - 2, 0))
         return self.of(index)
 
-    def of(self, numbers: Any) -> Law:
-        """Return the law of a selection of contacts, with their parameters."""
-        if not any(isinstance(value, np.ndarray) for value in self.parameters):
+    def of(self, numbers: Any, dimensions: int = 1) -> Law:
+        """Return the law of a selection of contacts, or of chains (see `ContactLaw.of`)."""
+        if all(np.ndim(value) != dimensions for value in self.parameters):
             return self
         return self.with_parameters(
-            value[numbers] if isinstance(value, np.ndarray) else value for value in self.parameters
+            value[numbers] if np.ndim(value) == dimensions else value for value in self.parameters
         )
 
     @property

@@ -19,6 +19,7 @@ from lmpchain.chain.contact_law import (
     pair_value,
     together,
 )
+from lmpchain.chain.equilibrium import derive_chain
 from lmpchain.chain.materials import GLASS, PTFE, STEEL, kinds
 
 EXPONENTS = (1.0, 1.3, 1.5, 2.0, 3.0)
@@ -365,6 +366,23 @@ def test_a_selection_of_contacts_keeps_its_parameters(numbers: Any) -> None:
     assert np.array_equal(
         contacts.of(numbers).force_at(overlap[numbers]), contacts.force_at(overlap)[numbers]
     )
+
+
+def test_each_of_many_chains_has_the_contacts_of_that_chain_alone(rng: np.random.Generator) -> None:
+    """Drawn masses or constants, and parameters of a law that all chains share."""
+    law = Law("k*max(o, 0)**p*(1 + c*o)", p=[1.5, 1.6, 1.7, 1.8], c=2.0)
+    chain = Chain(
+        grains=5, diameter=1e-3, top_load=1.0, law=law, bottom="wall", contact_constants=[1e10] * 4
+    )
+    for key, size in (("masses", 1e-6), ("contact_constants", 1e10)):
+        drawn = size * rng.uniform(0.5, 2.0, (3, 5 - (key == "contact_constants")))
+        many = derive_chain(chain, {key: drawn})
+        for number, values in enumerate(drawn):
+            alone = chain.replace(**{key: values}).contacts
+            row = many.row(number).contacts
+            for mine, expected in zip(row.arrays, alone.arrays, strict=True):
+                assert mine.tolist() == expected.tolist()
+            assert row.force_at(row.overlap).tolist() == alone.force_at(alone.overlap).tolist()
 
 
 LENGTH = 1e-6

@@ -235,6 +235,7 @@ def test_numbers_outside_their_range_are_refused():
         ),
         (lambda: linear_theory.strike_number_where(0.1, None), "scene: must be a Scene"),
         (lambda: limit(scene, "euler"), r"integrator: must be verlet \| .* \(got 'euler'\)"),
+        (lambda: theories.behind_front(10.0, 0.05), "error: must be one of"),
         *((lambda s=s: hertz_excess(s), "strain: must be between 0") for s in (0.0, -0.1, 1.0)),
     ):
         with pytest.raises(InputError, match=f"^{message}"):
@@ -242,13 +243,6 @@ def test_numbers_outside_their_range_are_refused():
     assert law(0.0, "peak", grain=1) == law(7.0, "velocity", 1.0) == 0
     # Linear theory of springs that stay closed is exact.
     assert inverse(1e-9, "velocity", 1.0) == np.inf
-
-
-def test_norms_are_named():
-    with pytest.raises(InputError, match="norm: must be one of velocity"):
-        linear_theory.linear_law(1.0, "speed")
-    with pytest.raises(InputError, match="error: must be one of"):
-        theories.behind_front(10.0, 0.05)
 
 
 @pytest.mark.parametrize("level", [0.01, 0.1])
