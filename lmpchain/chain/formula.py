@@ -896,8 +896,6 @@ def _primitive(smooth: Formula, variable: str) -> Formula | None:
         return None
     total: Formula = ZERO
     for factor, powers in terms:
-        if factor == 0:
-            continue
         part = _integrate(dict(powers), variable)
         if part is None:
             return None

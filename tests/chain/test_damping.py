@@ -8,8 +8,9 @@ import pytest
 from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 
-from lmpchain import Chain, Damping, Impulse, InputError, Scene
-from lmpchain.chain.damping import rebound, viscosity_of
+from lmpchain import Chain, Damping, Impulse, InputError, Scene, laws
+from lmpchain.chain.contact_law import ContactLaw, Contacts, power_law
+from lmpchain.chain.damping import rebound, viscosity_of, viscous_force
 from lmpchain.chain.materials import STEEL
 
 
@@ -71,6 +72,20 @@ def test_a_dashpot_causes_a_warning():
         Scene(chain=softer, excitation=Impulse(velocity=1e-6), duration=1e-5)
 
 
+@pytest.mark.parametrize("law", [power_law(1.0), power_law(1.5), laws.bilinear(0.3), laws.hertz()])
+def test_a_viscous_force_is_the_rate_of_the_elastic_force(law: ContactLaw):
+    """It is 0 in an open contact, unless the contact pulls."""
+    contacts = Contacts.at_rest(np.full(3, 1e6), np.ones(3), law)
+    overlap = np.array([[-2e-6, 1e-6, 3e-6], [4e-6, -1e-9, 1e-6]])
+    closing = np.array([[1.0, -2.0, 3.0], [-1.0, 2.0, 0.5]])
+    viscosity = np.array([1e-8, 2e-8, 3e-8])
+    step = 1e-11
+    ahead, behind = (contacts.force_at(overlap + sign * step * closing) for sign in (1, -1))
+    rate = viscosity * (ahead - behind) / (2 * step)
+    found = viscous_force(contacts, viscosity, overlap, closing)
+    assert found == pytest.approx(rate, rel=1e-6, abs=0)
+
+
 def collision(viscosity: float, exponent: float) -> float:
     """Return the restitution from the velocity form, integrated until the overlap is 0 again."""
 
@@ -124,6 +139,12 @@ def test_a_faster_collision_of_the_same_spheres_loses_more():
     weak = Damping.from_restitution(0.9999, velocity=0.3, **spheres)
     # To first order, 1 - e is 1.1534 x with x = 1.5 A (K / m)^(2/5) v^(1/5).
     assert 1.153449 * 1.5 * weak.viscoelastic * rate == pytest.approx(1e-4, rel=2e-4)
+    # Springs, whose constant has one more root of the diameter, are damped oscillators.
+    decay = math.log(2) / math.pi
+    spring = Damping.from_restitution(0.5, velocity=0.3, exponent=1.0, **spheres)
+    constant = 4 / 3 * modulus * math.sqrt(1e-2 / 4) * 1e-2**0.5
+    time = 2 * decay / math.sqrt(1 + decay**2) * math.sqrt(mass / constant)
+    assert spring.viscoelastic == pytest.approx(time, rel=1e-12)
     # The loss is proportional to A v^(1/5).
     assert fast.viscoelastic == pytest.approx(slow.viscoelastic * 10**-0.2, rel=1e-9)
 

@@ -85,6 +85,12 @@ def test_loads_of_walls_and_of_held_grains() -> None:
     assert (walled.wall_load, walled.constant_load) == (0.5, 0.0)
     for chain in (column(9, top_load=0.5), walled.replace(load_grain=2)):
         assert (chain.wall_load, chain.constant_load) == (0.0, 0.5)
+    # Contacts above the loaded grain carry only the weight of the grains above them.
+    for grain in (1, 2, 3, 8):
+        loaded = column(9, top_load=0.5, load_grain=grain, bottom="wall", top="wall").contacts
+        weight = 9.81 * walled.masses[0] * np.arange(10)
+        carries = np.arange(10) >= (grain if grain > 1 else 0)
+        assert loaded.force == pytest.approx(weight + 0.5 * carries, rel=1e-14)
     assert walled.held_weight == pytest.approx(walled.masses[-1] * 9.81, rel=1e-15)
     assert walled.replace(bottom="wall").held_weight == 0.0
     assert walled.load_over_mass == pytest.approx(
