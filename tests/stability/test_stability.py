@@ -92,22 +92,14 @@ def test_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(find, "LONGEST_S", 0.0)  # Measurements are compared with their laws above.
-    scene = tmp_path / "scene.toml"
+    scene, chart, numbers = (tmp_path / name for name in ("scene.toml", "chart.png", "found.json"))
     paper("weak").to_toml(scene)
-    words = [
-        "stability",
-        str(scene),
-        "-o",
-        str(tmp_path / "chart.png"),
-        "--json",
-        str(tmp_path / "found.json"),
-    ]
-    assert main(words) == 0
+    assert main(["stability", str(scene), "-o", str(chart), "--json", str(numbers)]) == 0
     said = capsys.readouterr().out
     assert "predicted" in said.splitlines()[0]
     assert "!" not in said  # A weak strike exceeds no limit.
-    assert (tmp_path / "chart.png").read_bytes()[:4] == b"\x89PNG"
-    rows = json.loads((tmp_path / "found.json").read_text())["rows"]
+    assert chart.read_bytes()[:4] == b"\x89PNG"
+    rows = json.loads(numbers.read_text())["rows"]
     assert {"what", "method", "unit", "predicted", "measured", "here", "beyond"} == set(rows[0])
 
 
@@ -119,18 +111,7 @@ def test_a_weak_scene_causes_no_warning():
 def test_the_warning_of_a_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     STRUCK.to_toml(tmp_path / "scene.toml")
     step = f"{1.9 / FEW.band_edge}"
-    words = [
-        "run",
-        str(tmp_path / "scene.toml"),
-        "--engine",
-        "native",
-        "--integrator",
-        "verlet",
-        "--step",
-        step,
-    ]
-    main(words)
-    said = [
-        line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: step: ")
-    ]
-    assert len(said) == 1
+    options = ["--engine", "native", "--integrator", "verlet", "--step", step]
+    main(["run", str(tmp_path / "scene.toml"), *options])
+    lines = capsys.readouterr().err.splitlines()
+    assert sum(line.startswith("warning: step: ") for line in lines) == 1
