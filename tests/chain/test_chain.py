@@ -162,6 +162,10 @@ def test_the_contact_law_and_what_follows_from_it(exponent: float):
     vacuum = Contacts.at_rest(contacts.constant, 0 * alike, contacts.law)
     assert vacuum.energy(deepest) == pytest.approx(0.1**2 / 2 / 2e6 * alike, rel=1e-12, abs=0)
     assert contacts.of(2).stiffness == contacts.stiffness[2]
+    # Missing walls, and bodies that are both held, do not collide.
+    meets = np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
+    overlaps = every.collision_overlap(np.full(6, 0.1), 2e6 * meets)
+    assert overlaps.tolist() == [0.0, deepest[0], 0.0, *deepest[2:], 0.0]
 
 
 def test_a_wall_that_just_touches_does_not_press():

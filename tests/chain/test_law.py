@@ -257,6 +257,12 @@ def test_values_slopes_and_changes_equal_those_in_40_digits(text: str) -> None:
     assert found == pytest.approx(np.array(differences), rel=3e-12, abs=1e-30)
 
 
+def test_parts_that_do_not_change_are_computed_once() -> None:
+    outer, kept = parse("sin(o)**2*r + sin(o)*(o + r)").without(["o"], "q")
+    assert outer.text == "q1*r + q0*(o + r)"
+    assert [part.text for part in kept] == ["sin(o)", "sin(o)**2"]
+
+
 @pytest.mark.parametrize("power", [3, 2, 1, -3])
 def test_a_whole_power_may_be_a_parameter(power: int) -> None:
     """Bases of either sign, which may change their sign, have real whole powers."""
