@@ -212,6 +212,12 @@ def test_every_limit_of_a_formula_is_as_documented() -> None:
 def test_wrong_parameters_are_named(parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Law("k*o*c", **parameters)
+    for text, fault in (
+        ("o*force", "has a parameter named force: give it another name"),
+        ("o + u", "contains both o (of a contact) and u or t (of the ground): use one kind"),
+        ("3*force", "depends on neither the overlap o nor the displacement u"),
+    ):
+        assert ("force", fault) in faults(Law, text, force=1.0)
     missing = "is missing: a formula such as 'k*max(o, 0)**1.5'"
     assert faults(Law.from_table, parameters) == [("force", missing)]
 

@@ -92,6 +92,15 @@ def test_the_law_predicts_the_floor(options: dict[str, Any], strike: tuple[int, 
     assert 1 / 6 < measured_floor(scene, **options) / floor(scene, **options) < 6
 
 
+@pytest.mark.parametrize("ends", [{}, {"gravity": 0.0, "top": "wall", "top_load": 1e-2}])
+def test_the_floor_of_one_grain_is_that_of_the_height_of_its_wall(ends: dict[str, Any]):
+    """The height of the grain itself is 0. The law may be too high by a factor of 30."""
+    chain = column(1, bottom="wall", **ends)
+    for options in HEIGHTS:
+        scene = struck(chain, 1e-6, 20 * chain.time_scale, 9)
+        assert 1 / 30 < measured_floor(scene, **options) / floor(scene, **options) < 6
+
+
 def test_the_exact_force_has_one_floor_for_all_strikes():
     found = [
         measured_floor(struck_in_units(column(10), strike, 8, 11), force="exact")

@@ -329,7 +329,8 @@ class Lammps(TimeSteppingEngine):
         amplified it up to tenfold.
         """
         column = LammpsColumn(scene, gauge, self.pair_style)
-        ulp = np.spacing(np.abs(column.heights).max())
+        # The height of a single grain is 0, but not that of its wall.
+        ulp = np.spacing(max(np.abs(column.heights).max(), column.diameters[0] / 2))
         walk = HEIGHTS.rounding * ulp * math.sqrt(steps * self.splitting(scene).evaluations)
         # A motion of 0 has no relative error.
         u, v = np.where(peaks > 0, peaks, np.inf)
