@@ -161,12 +161,3 @@ def test_arrays_of_the_user_are_copied():
     assert chain.masses[1] == 1e-6
     assert profile.displacement[0] == 0
     assert drive.times[1] == drive.displacement[1] == 1e-5
-
-
-def test_a_pickled_scene_gives_the_same_bits():
-    given = scene(used())
-    again = pickle.loads(pickle.dumps(given))
-    assert again == given
-    np.testing.assert_array_equal(
-        simulate(again, "native").velocity, simulate(given, "native").velocity
-    )

@@ -32,13 +32,6 @@ def law(scene: Scene) -> float:
     return linear_law(scene.strike_number, "package", scene.chain.exponent)
 
 
-def test_the_unit_of_time_diverges_without_gravity():
-    times = [Chain(grains=2, diameter=1e-3, gravity=g).time_scale for g in (1e-6, 1e-3)]
-    assert slope(np.array([1e-6, 1e-3]), np.array(times)) == pytest.approx(-1 / 6, abs=1e-9)
-    assert Chain(grains=2, diameter=1e-3, gravity=0.0).time_scale == np.inf
-    assert np.isfinite(Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3).time_scale)
-
-
 def test_linear_theory_becomes_invalid_without_gravity():
     gravity = np.logspace(-2, 3, 6)
     scenes = [limits.weak(1.5, float(g), 1e-5) for g in gravity]

@@ -257,14 +257,6 @@ def test_the_homogeneous_chain_has_the_predicted_error(level, grain, width):
         assert theories.uniform_reach(level, gradient) == pytest.approx(foretold, rel=0.1, abs=0)
 
 
-def test_homogeneous_chain_over_distance_and_depth():
-    """The error grows as the squared ratio of distance and depth."""
-    far = np.array([20.0, 28.0, 40.0])
-    grains = np.array([500, 1000, 2000])
-    assert slope(far, [uniform_error(2000, T) for T in far]) == pytest.approx(2, abs=0.05)
-    assert slope(grains, [uniform_error(n, 20.0) for n in grains]) == pytest.approx(-1, abs=0.05)
-
-
 def test_fig_2_holds_for_ten_grains_at_most():
     for tau, error in {1: 0.0056, 5: 0.106, 10: 0.425, 12: 0.658}.items():
         travelled = tau * 50 ** (1 / 6)
