@@ -16,7 +16,7 @@ from helpers.example_scenes import scene_of, struck_in_units
 from matplotlib.figure import Figure
 from scipy import stats
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Law, Scene, simulate
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.integrators.methods import METHODS
@@ -525,6 +525,13 @@ def test_missing_predictions_state_the_reason(monkeypatch: pytest.MonkeyPatch) -
     texts = find.stability(vacuum).left_out
     assert "energy, verlet: a chain without gravity and load has no band edge" in texts
     assert any(line.startswith("linear theory: without gravity and load") for line in texts)
+    for scene, message in (
+        (None, "scene: must be a Scene"),
+        (WEAK.replace(chain=STEEL.replace(damping={"drag": 1.0})), "does not support damping"),
+        (WEAK.replace(chain=STEEL.replace(ground=Law("k*u", k=1.0))), "a force from the ground"),
+    ):
+        with pytest.raises(InputError, match=message):
+            find.stability(scene)
     driven = scene_of(STEEL, Drive(amplitude=1e-9, frequency=1e4), 2e-4, 11)
     result = find.stability(driven)
     assert (
