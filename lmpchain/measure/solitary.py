@@ -321,8 +321,7 @@ def _wave(
 
 def _number(chain: Chain, column: int, upward: bool) -> int:
     """Return the number of the grain in a column; columns are mirrored for upward waves."""
-    number = chain.grains - column if upward else 1 + column
-    return int(np.clip(number, 1, chain.grains))
+    return chain.grains - column if upward else 1 + column
 
 
 def _line(grain: Array, time: Array, off: float) -> tuple[float, float]:

@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
@@ -13,8 +12,6 @@ from lmpchain.measure import collision
 from lmpchain.theory import collision as theory
 from lmpchain.theory import soliton
 
-# Each wave has kappa, direction and place.
-Wave = tuple[float, int, float]
 HOST = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
 
 
@@ -37,61 +34,6 @@ def overtaking(fast: float, slow: float, grains: int, gap: int) -> Trajectory:
     duration = (grains - 80) / fast * chain.time_scale
     scene = Scene(chain=chain, excitation=pair, duration=duration, samples=8 * grains)
     return simulate(scene, engine="native", tolerance=1e-8)
-
-
-def toda_chain(first: Wave, second: Wave, until: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return velocities (T, N) of two solitons in Toda's chain, by SciPy's DOP853, and times.
-
-    Each is (kappa, way, place); forces are exp(overlap) - 1.
-    """
-    n = np.arange(300)
-    velocity = np.zeros(n.size)
-    displacement = np.zeros(n.size)
-
-    def wave(kappa: float, way: int, x: np.ndarray) -> np.ndarray:
-        z = way * kappa * x
-        return np.logaddexp(0, kappa / 2 - z) - np.logaddexp(0, -kappa / 2 - z)
-
-    for kappa, way, place in (first, second):
-        shift = 1e-6
-        speed = way * 2 * np.sinh(kappa / 2) / kappa
-        u = wave(kappa, way, n - place)
-        rate = (wave(kappa, way, n - place - shift) - wave(kappa, way, n - place + shift)) / 2
-        displacement += way * u
-        velocity += way * rate / shift * speed
-    time = np.linspace(0, until, round(40 * until) + 1)
-
-    def slope(_: float, state: np.ndarray) -> np.ndarray:
-        u, v = np.split(state, 2)
-        force = np.expm1(u[:-1] - u[1:])
-        return np.concatenate((v, np.append(0, force) - np.append(force, 0)))
-
-    start = np.concatenate((displacement, velocity))
-    answer = solve_ivp(slope, (0, until), start, "DOP853", time, rtol=1e-11, atol=1e-12)
-    return answer.y[n.size :].T, time
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "late"),
-    [((1.6, 1, 40), (1.2, -1, 110), 50.0), ((2.4, 1, 20), (0.9, 1, 45), 170.0)],
-)
-def test_toda_laws_agree_with_an_integrated_toda_chain(
-    first: Wave, second: Wave, late: float
-) -> None:
-    """Shifts in a chain of exponential forces, integrated by SciPy, to 1e-4."""
-    velocity, time = toda_chain(first, second, late + 10)
-    for (kappa, way, place), (other, way_of_other, _) in ((first, second), (second, first)):
-        speed, speed_of_other = (2 * np.sinh(q / 2) / q for q in (kappa, other))
-        law = theory.toda(speed, speed_of_other, way != way_of_other)
-        # The expected grain of the wave at a late time.
-        grain = round(place + way * (speed * late + law))
-        signal = np.asarray(way * velocity[:, grain])
-        near = np.abs(time - late) < 4
-        top = np.flatnonzero(near)[signal[near].argmax()]
-        fit = np.polyfit(time[top - 3 : top + 4] - time[top], signal[top - 3 : top + 4], 6)
-        turns = np.roots(np.polyder(fit))
-        when = time[top] + min(turns[np.isreal(turns)].real, key=abs)
-        assert way * (grain - place) - speed * when == pytest.approx(law, abs=1e-4)
 
 
 @pytest.mark.slow

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.changed_recordings import until
 from helpers.example_chains import column, vacuum
 from helpers.example_scenes import run, scene_of
 from helpers.thinned import thinned
@@ -23,14 +23,6 @@ def pulse() -> Trajectory:
     """Simulate a strike on 60 grains in a vacuum until the pulse returns from an equal wall."""
     scene = scene_of(vacuum(60, bottom="wall"), Impulse(velocity=1.0), 84.0, 2101)
     return simulate(scene, engine=engines.Native(step=0.02))
-
-
-def until(t: Trajectory, end: float) -> Trajectory:
-    """Return the part of a recording up to a time."""
-    kept = t.time <= end
-    return replace(
-        t, time=t.time[kept], displacement=t.displacement[kept], velocity=t.velocity[kept]
-    )
 
 
 @pytest.fixture(scope="module")
@@ -81,37 +73,6 @@ def test_two_balls_that_collide() -> None:
     peak = arrival(history.time, history.force[:, 0])
     assert peak.height == pytest.approx(deepest**1.5, rel=1e-11, abs=0)
     assert peak.time == pytest.approx(lasts / 2, rel=1e-9, abs=0)
-
-
-def test_the_force_of_a_driver() -> None:
-    """Grain 2 of three between springs is a forced oscillator with a known motion."""
-    chain = column(3, exponent=1.0, gravity=2.0, top_load=1e-3)
-    k = chain.contact_constants[0]
-    m = chain.masses[0]
-    load = 1e-3
-    amplitude = 1e-12
-    own = np.sqrt(2 * k / m)
-    omega = 0.6 * own
-    t = run(
-        chain,
-        Drive(amplitude=amplitude, frequency=omega / (2 * np.pi)),
-        20 / own,
-        101,
-        grains=[1, 2],
-        tolerance=1e-12,
-    )
-    one = amplitude * np.sin(omega * t.time)
-    two = (
-        amplitude
-        * k
-        / m
-        / (own**2 - omega**2)
-        * (np.sin(omega * t.time) - omega / own * np.sin(own * t.time))
-    )
-    extra = -m * omega**2 * one + k * (one - two)
-    assert drive_force(t) - load == pytest.approx(extra, abs=1e-10 * np.abs(extra).max() + 1e-16)
-    still = Drive(times=[0, 1e-6], displacement=[0, 0])
-    assert drive_force(run(chain, still, 1e-6)) == pytest.approx([load, load], rel=1e-15, abs=0)
 
 
 # --- openings

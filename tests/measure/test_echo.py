@@ -1,9 +1,8 @@
 """Echoes of pulses, against an independent integration by SciPy and exact solitary waves."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from helpers.changed_recordings import of_error
 from helpers.example_scenes import run
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
@@ -12,7 +11,6 @@ from lmpchain import Chain, Force, Impulse, InputError, Scene, simulate
 from lmpchain.measure import echo, flight
 from lmpchain.measure.motion import motion_of
 from lmpchain.theory import soliton
-from lmpchain.trajectory.record import ErrorEstimate
 
 BEADS = {"diameter": 5e-3, "material": "steel", "gravity": 0.0}
 
@@ -186,9 +184,7 @@ def test_missing_echoes_are_rejected_and_pictures_have_labels() -> None:
         assert line.get_ydata() == pytest.approx(heights, rel=1e-12)
         assert line.get_label() == f"pulse that goes {'down' if downward else 'up'}"
     # An error e of all motion changes force and velocity by e, and energies by 2 e.
-    unknown, rough = (
-        replace(t, error_estimate=ErrorEstimate(0.0, error)) for error in (np.inf, 1e-4)
-    )
+    unknown, rough = (of_error(t, error) for error in (np.inf, 1e-4))
     part = 2 * motion_of(rough).known_error("velocity") / np.abs(t.velocity).max()
     assert part >= 2e-4
     one, other = (echo.find(each, 8) for each in (unknown, rough))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.changed_recordings import of_error
 from helpers.example_chains import column, vacuum
 from helpers.example_scenes import run, struck
 from scipy.special import jv
@@ -16,7 +16,6 @@ from lmpchain import (
     Displacement,
     Drive,
     Impulse,
-    InputError,
     Profile,
     Trajectory,
     engines,
@@ -26,7 +25,6 @@ from lmpchain.measure.contact import contacts, drive_force
 from lmpchain.measure.energy import ledger
 from lmpchain.measure.flight import arrival
 from lmpchain.scene.excitation import Excitation
-from lmpchain.trajectory.record import ErrorEstimate
 
 
 def record(
@@ -38,11 +36,6 @@ def record(
     **grains: Any,
 ) -> Trajectory:
     return run(chain, excitation, duration, samples, tolerance, **grains)
-
-
-def of_unknown_error(t: Trajectory) -> Trajectory:
-    """Return the samples without an error estimate, as in a foreign dump."""
-    return replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
 
 
 def largest(values: Any) -> float:
@@ -146,7 +139,7 @@ def test_the_work_of_a_driver_closes_the_ledger(drive: Drive) -> None:
     chain = column(20, top_load=1e-3)
     open_ends = []
     for samples in (129, 257, 513):
-        energy = ledger(of_unknown_error(record(chain, drive, 4e-5, samples, 1e-12)))
+        energy = ledger(of_error(record(chain, drive, 4e-5, samples, 1e-12)))
         for drift, error, scale in [
             (energy.drift, energy.drive_error, energy.total),
             (energy.momentum_drift, energy.impulse_error, energy.momentum),
@@ -199,13 +192,6 @@ def test_a_driver_of_springs_does_the_work_of_theory() -> None:
     q = 2 * np.arcsin(omega / 2)
     power = (energy.drive[14 * 64] - energy.drive[4 * 64]) / (10 * period * unit)
     assert power == pytest.approx(k * amplitude**2 * omega / unit * np.sin(q) / 2, rel=3e-3, abs=0)
-
-
-def test_the_kinetic_energy_counts_the_driven_grain() -> None:
-    chain = column(5)
-    energy = ledger(record(chain, Drive(times=[0, 1e-6], displacement=[0, 1e-12]), 1e-9, 3))
-    assert energy.kinetic[0] == pytest.approx(chain.masses[0] / 2 * 1e-12, rel=1e-12, abs=0)
-    assert energy.drive[0] == 0
 
 
 # --- the virial theorem
@@ -263,35 +249,7 @@ def test_energy_of_a_chain_at_rest_is_zero() -> None:
 # --- what was recorded
 
 
-def test_every_grain_that_moves_is_needed() -> None:
-    strike = Impulse(velocity=1e-4)
-    whole = ledger(record(COLUMN, strike, 1e-5, 11))
-    # Grain 20 is fixed.
-    turned = ledger(record(COLUMN, strike, 1e-5, 11, grains=list(range(19, 0, -1))))
-    for key, value in whole.__dict__.items():
-        assert turned.__dict__[key] == pytest.approx(value, rel=1e-12, abs=0), key
-    for grains, missing in (("1:18", ": 19"), ([1], ": 2, 3, 4, 5, 6, 7, 8, 9, ...")):
-        with pytest.raises(InputError, match="grains: .*record these too" + missing):
-            ledger(record(COLUMN, strike, 1e-5, 11, grains=grains))
-
-
 def test_two_samples_give_no_error_estimate() -> None:
-    energy = ledger(of_unknown_error(record(COLUMN, DRIVES["piston"], 1e-6, 2)))
+    energy = ledger(of_error(record(COLUMN, DRIVES["piston"], 1e-6, 2)))
     assert energy.drive_error == energy.impulse_error == np.inf
     assert np.isfinite(energy.drive).all()
-
-
-@pytest.mark.parametrize("bottom", ["fixed", "free"])
-def test_grains_at_rest_do_not_change_the_balance(bottom: str) -> None:
-    """The balance of a long chain equals the balance of the part that the wave reaches."""
-    found = []
-    for grains in (200, 2000):
-        load = {"gravity": 0.0} if bottom == "free" else {}
-        chain = column(grains, bottom=bottom, **load)
-        found.append(ledger(record(chain, Impulse(velocity=1e-3), 2e-5, 41, 1e-10)))
-    short, long = (vars(each) for each in found)
-    for name, value in short.items():
-        if "error" in name or name == "balanced":
-            # Errors of two trajectories differ in their last digits.
-            continue
-        assert long[name] == pytest.approx(value, rel=1e-12, abs=1e-15 * np.abs(value).max()), name

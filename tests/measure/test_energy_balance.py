@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.changed_recordings import of_error
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
 from helpers.taylor_series import reference
@@ -35,7 +35,6 @@ from lmpchain import (
 from lmpchain.engines import Modes, Native
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.measure import energy
-from lmpchain.trajectory.record import ErrorEstimate
 
 Array = NDArray[np.float64]
 WALLS = {"grains": 6, "diameter": 1e-3, "top": "wall", "bottom": "wall", "top_load": 0.1}
@@ -277,12 +276,12 @@ def test_other_engines_agree_with_the_native_one(engine: str, act, samples: int)
 
 def test_a_foreign_trajectory_uses_only_its_samples():
     t = simulate(case("strike", 401), "native", 1e-10)
-    foreign = replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
+    foreign = of_error(t)
     found = energy.ledger(foreign)
     assert found.balanced == ()
     assert 0 < largest(found.drift) < found.dissipated_error < 1e-3 * found.total[0]
     # The error of an inaccurate solution is included.
-    rough = replace(t, error_estimate=ErrorEstimate(0.0, 1e-3), gathered={})
+    rough = of_error(t, 1e-3)
     assert energy.losses(rough).error > 1e-4 * found.total[0] > energy.losses(t).error
 
 
@@ -303,7 +302,7 @@ def test_samples_alone_show_the_work_and_losses_of_a_driver(
     chain = Chain(**WALLS | {"bottom": bottom}, damping=DAMPING)
     scene = scene_of(chain, shaker, 4e-5, 401)
     t = simulate(scene, "native", 1e-10)
-    foreign = replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
+    foreign = of_error(t)
     known, found = energy.ledger(t), energy.ledger(foreign)
     for name in ("drive", "dissipated"):
         off = largest(getattr(found, name) - getattr(known, name))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.changed_recordings import of_error
 from helpers.example_scenes import run
 from numpy.typing import NDArray
 
@@ -25,7 +26,6 @@ from lmpchain import (
 from lmpchain.measure import energy
 from lmpchain.measure.energy import EnergyLedger
 from lmpchain.measure.motion import motion_of
-from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util.plotting import figure
 
 Array = NDArray[np.float64]
@@ -198,7 +198,7 @@ def test_the_errors_are_the_shift_when_every_second_sample_is_used():
     """A force acts on grain 3; its work and the impulses are computed from 41 and 21 samples."""
     t = simulated("a sine on grain 3", 41)
     # The sample error is unknown, as in a foreign dump, so that no balance replaces the integral.
-    t = replace(t, error_estimate=ErrorEstimate(0.0, np.inf))
+    t = of_error(t)
     chain = t.scene.chain
     seen = energy.ledger(t)
     omega = 2 * np.pi * 1e5
@@ -391,11 +391,6 @@ DOUBTFUL: dict[str, tuple[Chain, Any, int | None]] = {
     "driven wall": (Chain(**EVEN, bottom="free", top="wall"), Drive(grain=0, **SHAKEN), 0),
     "base": (Chain(**EVEN, bottom="wall"), Drive(end="bottom", **SHAKEN), 9),
 }
-
-
-def of_error(t: Trajectory, error: float) -> Trajectory:
-    """Return the samples of a run alone, with this relative error."""
-    return replace(t, error_estimate=ErrorEstimate(0.0, error), gathered={})
 
 
 @pytest.mark.parametrize("name", DOUBTFUL)

@@ -15,9 +15,7 @@ from helpers.convergence import slope
 from helpers.example_chains import column
 from helpers.example_scenes import paper, scene_of, struck
 from helpers.faults import fault_keys
-from helpers.independent_theory import dense_modes
 from helpers.thinned import thinned
-from scipy.special import jv
 
 from lmpchain import (
     Chain,
@@ -31,8 +29,6 @@ from lmpchain import (
     Trajectory,
     simulate,
 )
-from lmpchain.benchmark.comparison import compare
-from lmpchain.benchmark.reference import reference
 from lmpchain.cli.command_line import main
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.measure.fit import (
@@ -83,40 +79,6 @@ def uniform() -> Trajectory:
 # --- modes
 
 
-def test_shares_of_the_modes_and_their_energy(weak: Trajectory):
-    """The energy shares of an impulse are m_1 X_1p^2, by a dense eigenvalue solver.
-
-    The energies of the modes sum to the energy of the scene.
-    """
-    fit = fit_modes(weak)
-    assert fit.share.sum() == pytest.approx(1, abs=1e-12)
-    assert fit.energy.sum() == pytest.approx(weak.scene.energy, rel=1e-9)
-    assert fit.residual.max() < 1e-9
-    assert fit.residual.shape == (1601,)
-    assert fit.amplitude.shape == fit.rate.shape == (1601, 299)
-    assert fit.share_error.max() < 1e-12
-    squares, shape = dense_modes(weak.scene.chain)
-    assert fit.frequency == pytest.approx(np.sqrt(squares), rel=1e-9)
-    assert fit.share == pytest.approx(shape[0] ** 2, abs=1e-12)
-
-
-def test_a_strong_strike_deviates_from_linear_motion():
-    """At v0 = 0.857 mm/s the residual agrees with a run of the linear chain.
-
-    The linear chain is solved by Chebyshev polynomials.
-    """
-    strong = simulate(paper("fig5 g"), "native")
-    linear = answered(
-        strong.scene.chain, strong.scene.excitation, 100e-6 / strong.scene.chain.time_scale, 26
-    )
-    fit = fit_modes(strong)
-    pairs = (strong.displacement, linear.displacement), (strong.velocity, linear.velocity)
-    off = [np.abs(x - y).max(1) / np.abs(x).max() for x, y in pairs]
-    assert fit.residual == pytest.approx(np.maximum(*off), abs=1e-9)
-    assert fit.residual.max() > 0.4
-    assert fit.share_error.max() > 1e-3
-
-
 # --- Bessel functions
 
 
@@ -137,20 +99,6 @@ def test_the_parameters_of_a_uniform_chain_are_recovered(excitation: Any, engine
     assert abs(fit.delay) < 1e-6 * UNIFORM.time_scale
     assert fit.residual < 1e-6
     assert (fit.error[[0, 1]] / np.abs(fit.expected[[0, 1]]) < 1e-6).all()
-
-
-def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
-    """The data follow Eq. (11): J_(2n-2)(2s) + J_(2n)(2s) with s = 1.03 (tau - 0.2)."""
-    n = uniform.grains
-    tau = uniform.time[:, None] / UNIFORM.time_scale
-    z = 2 * 1.03 * (tau - 0.2)
-    made = replace(uniform, velocity=4e-9 * (jv(2 * n - 2, z) + jv(2 * n, z)))
-    fit = fit_bessel(made)
-    assert fit.amplitude == pytest.approx(4e-9, rel=1e-9)
-    assert fit.kappa == pytest.approx(1.03**2, rel=1e-9)
-    assert fit.delay == pytest.approx(0.2 * UNIFORM.time_scale, rel=1e-8)
-    peak = np.abs(made.velocity[:, 29]).argmax()
-    assert fit.front_time(30) == pytest.approx(made.time[peak], abs=0.7 * UNIFORM.time_scale)
 
 
 def test_the_local_speed_in_a_column():
@@ -479,29 +427,6 @@ def dumped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "column.lammpstrj", folder / "scene.toml"
 
 
-def test_a_dump_is_read_as_in_mdanalysis(dumped: tuple[Path, Path], tmp_path: Path):
-    from helpers.standalone_lammps import read_dump
-
-    scene = Scene.from_toml(dumped[1])
-    t = Trajectory.from_dump(dumped[0], scene)
-    u, v = read_dump(dumped[0])
-    assert np.array_equal(t.displacement, u)
-    assert np.array_equal(t.velocity, v)
-    assert (t.engine, t.equation, t.error_estimate.total) == ("lammps", 1, math.inf)
-    native = simulate(scene, "native", 1e-9)
-    far = 2e-5  # Heights lose digits; the deck expects an error of 5e-5.
-    assert (
-        np.abs(t.displacement - native.displacement).max() < far * np.abs(native.displacement).max()
-    )
-    t.save(tmp_path / "run.nc")
-    assert Trajectory.load(tmp_path / "run.nc") == t
-    side = compare([t, native], reference(scene))
-    assert side.to_json()["rows"][0]["expected_error"] is None
-    side.plot().figure.draw_without_rendering()
-    some = Trajectory.from_dump(dumped[0], Scene(**scene.given() | {"grains": [4, 2]}))
-    assert np.array_equal(some.velocity, v[:, [3, 1]])
-
-
 # --- the command line
 
 
@@ -525,41 +450,6 @@ def test_fit_reads_a_dump(dumped: tuple[Path, Path], capsys: pytest.CaptureFixtu
     said = capsys.readouterr()
     assert "modes" in said.out
     assert said.err == ""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "key"),
-    [
-        ("none.nc", "none.nc"),
-        ("none.dump --scene {scene}", "none.dump"),
-        ("{dump}", "{dump}"),
-        ("{scene}", "{scene}"),
-        ("{run} --scene {scene}", "scene"),
-        ("{dump} --scene none.toml", "none.toml"),
-        ("{run} --json {run}", "{run}"),
-        ("{run} --json /none/fit.json", "/none/fit.json"),
-        ("{dump} --scene {scene} --json {scene}", "{scene}"),
-        ("{dump} --scene {scene} --json {dump}", "{dump}"),
-        (".", "."),
-        ("", "arguments"),
-    ],
-)
-def test_fit_faults_have_exit_code_2(
-    arguments: str,
-    key: str,
-    dumped: tuple[Path, Path],
-    uniform: Trajectory,
-    tmp_path: Path,
-    capsys: Any,
-):
-    run = tmp_path / "run.nc"
-    uniform.save(run)
-    places = {"dump": dumped[0], "scene": dumped[1], "run": run}
-    assert main(["fit", *arguments.format(**places).split()]) == 2
-    said = capsys.readouterr()
-    (line,) = said.err.splitlines()
-    assert line.startswith(f"error: {key.format(**places)}: ")
-    assert said.out == ""
 
 
 @pytest.mark.parametrize("grain", [1, 40])

@@ -9,7 +9,7 @@ import pytest
 from helpers.example_scenes import run
 from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, root
+from scipy.optimize import root
 
 from lmpchain import Chain, Drive, Force, InputError, Law, Trajectory, patterns, simulate
 from lmpchain.measure import harmonic
@@ -137,28 +137,6 @@ def test_errors_include_the_error_of_the_trajectory() -> None:
         assert more == pytest.approx(change / np.sin(known.phase), rel=0.1)
     more = unsure.strain_error - known.strain_error
     assert more == pytest.approx(2 * off / chain.equilibrium_overlap[0], rel=0.1)
-
-
-def test_one_overlap_explains_three_phases_of_an_unknown_chain() -> None:
-    """Phases of 1.28700, 1.28677 and 1.28605 rad were found by hand at 0, 2e-7 and 4e-7 m."""
-    chain = Chain(grains=20, **LOADED)
-    rest = float(chain.equilibrium_overlap[0])
-    omega = 1.2 * float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
-
-    def phase(share: float, strain: float = 0.0) -> float:
-        return travelling_wave(chain, omega, share * rest, strain)
-
-    assert round(phase(1e-3), 5) == 1.28700
-    # The ratio of amplitude to overlap, from the second number and from the third.
-    second = brentq(lambda share: phase(share) - 1.28677, 0.01, 0.25)
-    third = brentq(lambda share: phase(share) - 1.28605, 0.01, 0.45)
-    assert 2e-7 / second == pytest.approx(2.124e-6, rel=1e-3)
-    assert 4e-7 / third == pytest.approx(2.091e-6, rel=1e-3)
-    assert phase(2 * second) == pytest.approx(1.28605, abs=3.1e-5)
-    assert phase(third / 2) == pytest.approx(1.28677, abs=1.1e-5)
-    # A mean strain of some 1e-4 is the rest.
-    slope = (phase(0.1, 1e-4) - phase(0.1)) / 1e-4
-    assert slope == pytest.approx(-np.tan(np.arcsin(0.6)) / 2, rel=0.02)
 
 
 def test_a_gap_is_measured_as_a_decay() -> None:

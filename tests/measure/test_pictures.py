@@ -69,8 +69,6 @@ def test_forces_of_up_to_six_contacts_are_lines(above_rest: bool):
     assert labels(axes) == [f"contact {n}" for n in (3, 1, 9, 5, 7, 2)]
     assert axes.get_ylabel() == ("contact force above rest" if above_rest else "contact force")
     assert axes.get_xlabel() == "time"
-    assert axes.xaxis.get_major_formatter()(2e-6) == "2 µs"
-    assert axes.yaxis.get_major_formatter()(2e-3) == "2 mN"
     assert few.plot(axes) is axes
 
 
@@ -88,7 +86,6 @@ def test_forces_of_more_contacts_are_a_map(above_rest: bool):
     assert axes.get_ylabel() == "contact, from the top"
     bar = axes.figure.axes[1]
     assert bar.get_ylabel() == ("contact force above rest" if above_rest else "contact force")
-    assert bar.yaxis.get_major_formatter()(2e-3) == "2 mN"
     if above_rest:
         limit = np.median(np.abs(values).max(0))
         assert (image.norm.vmin, image.norm.vmax) == pytest.approx((-limit, limit))
@@ -104,7 +101,6 @@ def test_the_signal_of_a_sensor():
     assert_lines(axes, (signal.time, signal.force))
     assert labels(axes) == ["grain 4"]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "force on the sensor")
-    assert axes.yaxis.get_major_formatter()(2.0) == "2 N"
     assert signal.plot(axes) is axes
 
 
@@ -129,7 +125,6 @@ def test_a_spectrum_over_frequency_and_depth():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("frequency", "grain, from the top")
     assert axes.get_ylim() == (6, 1.5)
     assert axes.get_xlim() == pytest.approx((0, 54))
-    assert axes.xaxis.get_major_formatter()(2e3) == "2 kHz"
     assert axes.figure.axes[1].get_ylabel() == "velocity (m/s per Hz)"
     assert shown.cut_off.tolist() == [30, 33, 36]
     high = Spectrum(
@@ -166,7 +161,6 @@ def test_a_spectrum_over_wavenumber_and_frequency():
     )
     assert axes.get_ylim() == pytest.approx((0, 1.5 * relation.max()))
     assert axes.get_xlim() == pytest.approx((-3.5, 2.5))
-    assert axes.yaxis.get_major_formatter()(2e3) == "2 kHz"
     assert axes.figure.axes[1].get_ylabel() == "displacement (m per Hz)"
     assert np.array_equal(shown.ridge, frequency[amplitude.argmax(0)])
     high = Dispersion(
@@ -394,11 +388,9 @@ def test_the_energies_of_modes():
         "share of the energy at t = 0 (%)",
     )
     assert axes.get_title("left") == "Linear motion from t = 0: off by at most 0.02"
-    assert axes.xaxis.get_major_formatter()(2e3) == "2 kHz"
     over_time = fit.plot(what="residual")
     assert_lines(over_time, (time, fit.residual))
     assert over_time.get_ylabel() == "linear motion from t = 0,\nrelative residual"
-    assert over_time.xaxis.get_major_formatter()(2e-3) == "2 ms"
     still = ModeFit(frequency, time, none, none, 0 * energy, 0 * error, np.zeros(3))
     assert not still.share.any()
     assert not still.share_error.any()
@@ -441,7 +433,6 @@ def test_a_wave_of_bessel_functions():
     assert all(axes.lines[k].get_color() == axes.lines[k + 1].get_color() for k in (0, 2, 4, 6))
     assert axes.get_title("left") == "kappa 1.2 ± 0.03, residual 0.12 (lines)"
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "displacement, downward")
-    assert axes.yaxis.get_major_formatter()(2e-9) == "2 nm"
     for number in (1, 43):  # The arrival is at 2 s = m + 0.8086 m^(1/3) with m = 2 |n - p|.
         m = 2 * abs(number - 3)
         assert fit.front_time(number) == pytest.approx(

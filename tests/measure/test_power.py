@@ -1,10 +1,10 @@
 """Power through contacts, compared with scattering theory, energy input and output."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from helpers.changed_recordings import of_error, part_of
 from helpers.example_chains import column
 from helpers.example_scenes import run
 
@@ -13,7 +13,6 @@ from lmpchain.measure import energy, power
 from lmpchain.measure.motion import motion_of
 from lmpchain.theory import scattering
 from lmpchain.theory.steady import displacements
-from lmpchain.trajectory.record import ErrorEstimate
 
 CHAIN = column(
     60, gravity=0.0, top_load=1.0, bottom="wall", impurity=[{"grain": 30, "diameter": 1.6e-3}]
@@ -121,14 +120,7 @@ def test_the_picture_has_the_range_the_mean_theory_and_the_share() -> None:
     assert f"{100 * passed.share:.5g} % of that of the drive" in ax.get_title("left")
     error = passed.error + passed.share * passed.input_error
     assert passed.share_error == pytest.approx(error / passed.input, rel=1e-9)
-    near = (t.grains > 95) & (t.grains < 105)
-    some = replace(
-        t,
-        grains=t.grains[near],
-        velocity=t.velocity[:, near],
-        displacement=t.displacement[:, near],
-    )
-    alone = power.through(some, 100)
+    alone = power.through(part_of(t, columns=slice(95, 104)), 100)
     assert alone.mean == pytest.approx(passed.mean, rel=1e-9)
     assert np.isnan([alone.input, alone.input_error, alone.share]).all()
     assert "drive" not in alone.plot().get_title("left")
@@ -137,9 +129,7 @@ def test_the_picture_has_the_range_the_mean_theory_and_the_share() -> None:
 def test_errors_of_powers_include_the_error_of_the_motion() -> None:
     """An error e of all motion changes force and velocity by e, and the power by 2 e."""
     t = pushed(1e-4)
-    unknown, rough = (
-        replace(t, error_estimate=ErrorEstimate(0.0, error)) for error in (np.inf, 1e-4)
-    )
+    unknown, rough = (of_error(t, error) for error in (np.inf, 1e-4))
     part = 2 * motion_of(rough).known_error("velocity") / np.abs(t.velocity).max()
     one, other = (power.through(each, 100) for each in (unknown, rough))
     more = other.error - one.error

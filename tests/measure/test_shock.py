@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.example_scenes import run, scene_of, struck
+from helpers.changed_recordings import until
+from helpers.example_scenes import run, struck
 
 from lmpchain import (
     Chain,
@@ -19,7 +20,7 @@ from lmpchain import (
     Trajectory,
     simulate,
 )
-from lmpchain.measure import energy, shock
+from lmpchain.measure import shock
 from lmpchain.theory.shock import Medium, State
 
 CHAIN = Chain(
@@ -55,37 +56,6 @@ def piston(velocity: float, grains: int = 300, viscosity: float = 0.0) -> Trajec
 def measured(velocity: float, viscosity: float = 0.0) -> shock.Shock:
     """Return the measured wave of this piston."""
     return shock.find(piston(velocity, viscosity=viscosity))
-
-
-def until(t: Trajectory, end: float) -> Trajectory:
-    """Return the part of a recording up to a time."""
-    kept = t.time <= end * (1 + 1e-9)
-    return replace(
-        t, time=t.time[kept], displacement=t.displacement[kept], velocity=t.velocity[kept]
-    )
-
-
-def test_momentum_is_the_impulse_of_the_piston() -> None:
-    """Momentum grows by the impulse of walls and held grains, energy by their work, to 1e-6."""
-    ledger = energy.ledger(piston(1.0))
-    assert np.abs(ledger.momentum_drift).max() < 1e-6 * ledger.momentum.max()
-    assert np.abs(ledger.drift).max() < 1e-6 * ledger.total.max()
-
-
-def test_rankine_hugoniot_relations_hold_on_average() -> None:
-    """A step between the states of a steady shock moves at the Rankine-Hugoniot speed."""
-    behind, speed = GAS.rankine_hugoniot(REST, 0.4 * OVERLAP * SOUND)
-    strain = (behind.overlap - OVERLAP) / 9.5e-3
-    step = Riemann(velocity=(behind.velocity, 0), strain=(strain, 0), grain=150)
-    chain = CHAIN.replace(top="free")
-    scene = scene_of(chain, step, 50 / SOUND, 101)
-    run = simulate(scene, engine="native", tolerance=1e-9)
-    # These contacts are beyond the wave from the top.
-    closer = (run.displacement[:, 79:-1] - run.displacement[:, 80:]) / (behind.overlap - OVERLAP)
-    moving = run.velocity[:, 79:] / behind.velocity
-    for share in (closer, moving):
-        place = share.sum(1)
-        assert place[-1] - place[0] == pytest.approx(speed * scene.duration, rel=1e-6)
 
 
 @pytest.mark.parametrize("velocity", [0.5, 1.0])
@@ -370,17 +340,6 @@ def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> 
     assert found.ahead.velocity - found.simple.velocity == pytest.approx(escape, rel=1e-9)
     assert found.predictions["continuum"] == pytest.approx((SOUND, 0.0, -OVERLAP))
     assert (found.overlap >= 0).all()
-
-
-def test_only_the_first_transit_is_used() -> None:
-    """Only the first transit of a run of several transits counts."""
-    grains, duration = 60, 342
-    piston = Drive(shape="piston", velocity=0.07, rise=10 / SOUND, grain=0)
-    found = shock.find(long_run(CHAIN.replace(grains=grains), piston, duration))
-    theory = found.predictions["whitham"]
-    assert found.time < (grains + 5) / SOUND
-    assert found.behind.overlap == pytest.approx(found.simple.overlap, rel=3e-4)
-    assert abs(found.leading.speed - theory.leading) < 2 * found.leading.error < 0.1 * SOUND
 
 
 @pytest.mark.parametrize("case", ["vacuum", "damped", "rarefaction", "opened", "step"])

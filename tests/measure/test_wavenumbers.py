@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.changed_recordings import part_of
 
 from lmpchain import Chain, Impulse, InputError, Packet, Scene, Trajectory, simulate
 from lmpchain.measure import energy, wavenumbers
@@ -48,14 +49,23 @@ def test_bands_add_up_to_the_energy_of_the_chain(
     assert split.width == pytest.approx(2 * hop, rel=1e-12)
     assert split.resolution == pytest.approx(2 * np.pi / hop, rel=1e-12)
     for number, middle in enumerate(split.place):
-        inside = np.zeros(len(t.time))
-        for places, values in ((near.grain, near.kinetic), (near.contact + 0.5, near.elastic)):
+        inside, square = np.zeros((2, len(t.time)))
+        for places, values, errors in (
+            (near.grain, near.kinetic, near.kinetic_error),
+            (near.contact + 0.5, near.elastic, near.elastic_error),
+        ):
             far = np.clip((places - middle) / hop, -1.0, 1.0)
             far = np.maximum(far, 0) if number == 0 else far
             far = np.minimum(far, 0) if number == count - 1 else far
-            inside += values @ np.cos(np.pi / 2 * far) ** 2
+            weight = np.cos(np.pi / 2 * far) ** 2
+            inside += values @ weight
+            ends = (np.sqrt(np.maximum(values + side * errors, 0.0)) for side in (-1, 1))
+            square += np.max([(end - np.sqrt(values)) ** 2 for end in ends], axis=0) @ weight
         seen = split.energy[:, number].sum(1)
         assert seen == pytest.approx(inside, rel=1e-9, abs=1e-12 * inside.max())
+        # The squares of the errors of all amplitudes in a window add up.
+        error = 2 * np.sqrt(split.energy[:, number] * square[:, None]) + square[:, None]
+        assert split.error[:, number] == pytest.approx(error, rel=1e-6)
 
 
 def test_a_packet_is_in_its_band_and_moves_at_the_group_velocity() -> None:
@@ -99,13 +109,7 @@ def test_table_and_picture_have_the_bands() -> None:
     assert tops[-1] == pytest.approx(split.energy[-1].sum(1).max() / (split.width / 2), rel=1e-9)
     # The order of the recorded grains does not matter.
     t = packet()
-    order = np.argsort(np.sin(t.grains))
-    other = replace(
-        t,
-        grains=t.grains[order],
-        velocity=t.velocity[:, order],
-        displacement=t.displacement[:, order],
-    )
+    other = part_of(t, columns=np.argsort(np.sin(t.grains)))
     for name in ("energy", "downward", "error"):
         same = getattr(wavenumbers.bands(other, [0, 1.5, np.pi], 80), name)
         assert same == pytest.approx(getattr(split, name), rel=1e-9)
