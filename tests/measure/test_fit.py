@@ -76,9 +76,6 @@ def uniform() -> Trajectory:
     return answered(UNIFORM, Impulse(velocity=1e-9), 30.0, 121)
 
 
-# --- modes
-
-
 # --- Bessel functions
 
 

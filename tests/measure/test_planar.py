@@ -155,6 +155,9 @@ def test_weak_orbits_are_harmonic() -> None:
         other = planar._orbit(gas, speed, 1.0 - 1e-5, 1.0 + 1e-5, planar._of_forces)
         assert other is not None
         assert other.spacing == pytest.approx(2 * np.pi / np.sqrt(12 * (1 - speed**2)), rel=1e-6)
+        for each in (orbit, other):
+            change = np.gradient(each.overlap, each.place, edge_order=2)
+            assert change == pytest.approx(each.slope, abs=1e-3 * np.abs(each.slope).max())
         # The wavenumber k of the lattice has the phase speed sin(k / 2) / (k / 2).
         k = brentq(lambda k, speed=speed: np.sin(k / 2) - speed * k / 2, 1e-3, np.pi)
         assert orbit.spacing < 2 * np.pi / k < other.spacing

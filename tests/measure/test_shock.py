@@ -472,3 +472,50 @@ def test_runs_without_a_shock_are_rejected_with_the_reason(changes: dict, messag
     run = simulate(struck(chain, 1e-3, 1e-4), engine="native")
     with pytest.raises(InputError, match=message):
         shock.find(run)
+
+
+def test_edges_of_a_given_dispersive_wave() -> None:
+    """Half amplitudes s at n / t = 1 + 0.3 s + 0.1 s^2 - 6 / n have edges at 1 - 6 / n and 1.4."""
+    size, wavenumber, jump = 300, 2.0, 0.2 * OVERLAP
+    time = np.linspace(0, 200, 4001)
+    n = np.arange(size - 1)
+    past = np.maximum(n / np.maximum(time, 1e-9)[:, None] + 6 / (n + 1) - 1, 0.0)
+    share = np.minimum(np.sqrt(2.25 + 10 * past) - 1.5, 1 + 1e-4 * n)
+    behind = 1.4 * time[:, None] - n
+    nearer = jump * np.where(behind > 0, 1 - share * np.cos(wavenumber * behind), 0.0)
+    u, v = np.zeros((2, time.size, size))
+    u[:, :-1] = nearer[:, ::-1].cumsum(1)[:, ::-1]
+    v[:, :-1] = SOUND * nearer
+    drive = Drive(shape="piston", velocity=jump * SOUND, rise=1e-9 / SOUND, grain=0)
+    t = SimpleNamespace(
+        scene=SimpleNamespace(chain=CHAIN, excitation=drive),
+        time=time / SOUND,
+        displacement=u,
+        velocity=v,
+        grains=np.arange(1, size + 1),
+    )
+    found = shock.find(t)  # type: ignore[arg-type]
+    assert found.leading.speed == pytest.approx(1.4 * SOUND, rel=5e-4)
+    assert found.leading.error < 1e-3 * SOUND
+    reached = int(np.flatnonzero(nearer[-1] > jump / 2)[-1])
+    crests = jump * (2 + 1e-4 * np.arange(reached // 3, reached - 5))
+    half = crests.size // 2
+    late = crests[half:].mean()
+    assert found.leading.height == pytest.approx(late, rel=1e-4)
+    change = late - crests[:half].mean()
+    assert found.leading.height_error == pytest.approx(change, rel=0.05)
+    last = crests[-(crests.size // 3) :].mean()
+    assert found.leading.velocity == pytest.approx(SOUND * last, rel=1e-4)
+    # The contacts at which most half amplitudes from 0.1 to 0.5 have passed.
+    contacts = np.unique(np.linspace(0.2 * reached, 0.85 * reached, 40).astype(int))
+    ends = 1 - 6 / (1 + contacts[share[-1, contacts] < 0.3])
+    half = ends.size // 2
+    late, early = ends[half:].mean(), ends[:half].mean()
+    assert found.trailing.speed == pytest.approx(SOUND * late, abs=5e-4 * SOUND)
+    # A line instead of the parabola ends lower by 0.1 (0.3^2 - 0.4^2 / 12).
+    straight = ends.mean() - 0.1 * (0.3**2 - 0.4**2 / 12)
+    error = late - early + late - straight + 2 * ends[half:].std()
+    assert found.trailing.error == pytest.approx(SOUND * error, rel=0.05)
+    assert found.behind.overlap - OVERLAP == pytest.approx(jump, rel=1e-3)
+    apart = (found.leading.speed - found.trailing.speed) * found.time
+    assert found.thickness == pytest.approx(apart, rel=1e-6)

@@ -105,6 +105,11 @@ def test_force_of_a_driver(top: str):
         below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
         force = chain.masses[0] * given[2] + below - 9.81 * chain.masses[0]
     assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
+    # At rest a driver carries the load on its own grain.
+    still = Drive(times=[0, 1e-6], displacement=[0, 0])
+    for load_grain, load in ((1, 0.5), (2, 0.0)):
+        loaded = column(5, gravity=0.0, top_load=0.5, load_grain=load_grain)
+        assert drive_force(run(loaded, still, 1e-6)).tolist() == [load, load]
     pushed = scene_of(chain, Force(grain=2, amplitude=1e-4, frequency=1e5), 1e-6, 3)
     with pytest.raises(InputError, match="excitation: nothing is driven"):
         drive_motion(simulate(pushed, engines.Native(step=1e-8)))
