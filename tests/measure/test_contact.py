@@ -11,7 +11,7 @@ from helpers.example_chains import column, vacuum
 from helpers.example_scenes import run, scene_of
 from helpers.thinned import thinned
 
-from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, engines, simulate
+from lmpchain import Chain, Drive, Impulse, InputError, Trajectory, engines, simulate
 from lmpchain.measure.contact import ContactHistory, contacts, drive_force, sensor, wall_force
 from lmpchain.measure.flight import arrival, time_of_flight
 
@@ -32,30 +32,6 @@ def opening() -> Trajectory:
 
 
 # --- forces
-
-
-@pytest.mark.parametrize(
-    "ends",
-    [
-        {"top_load": 1e-3},
-        {"bottom": "wall"},
-        {"top": "wall", "bottom": "wall", "top_load": 2e-3},
-    ],
-)
-@pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
-def test_at_rest_contacts_carry_the_weight_above(ends: dict[str, Any], exponent: float) -> None:
-    masses = np.linspace(1e-6, 3e-6, 7)
-    chain = column(7, masses=masses, exponent=exponent, **ends)
-    t = run(chain, REST, 1e-6)
-    history = contacts(t)
-    above = ends.get("top_load", 0.0) + 9.81 * np.concatenate(([0.0], np.cumsum(masses)))
-    assert history.contact.tolist() == list(range("top" not in ends, 8 - ("bottom" not in ends)))
-    assert history.force == pytest.approx(np.tile(above[history.contact], (2, 1)), rel=1e-14, abs=0)
-    assert not history.change.any()
-    assert not history.closing.any()
-    assert wall_force(t) == pytest.approx(above[[7, 7]], rel=1e-14, abs=0)
-    if "top" in ends:
-        assert wall_force(t, "top") == pytest.approx(above[[0, 0]], rel=1e-14, abs=0)
 
 
 def test_two_balls_that_collide() -> None:
@@ -127,34 +103,6 @@ def test_events_at_the_edge_of_touching(rng: np.random.Generator) -> None:
         (pytest.approx(0.4), True),
         (pytest.approx(0.6), False),
     ]
-
-
-def test_events_of_a_dense_recording(opening: Trajectory) -> None:
-    """The events agree with linear interpolation in a recording with 20 times as many samples."""
-    sparse, dense = (
-        simulate(
-            Scene(**opening.scene.given() | {"samples": samples}),
-            engine=engines.Native(step=opening.scene.duration / 12000),
-        )
-        for samples in (601, 12001)
-    )
-    fine = contacts(dense)
-    gap = fine.overlap < 0
-    expected = []
-    for i, c in np.argwhere(gap[1:] != gap[:-1]):
-        before, after = fine.overlap[i : i + 2, c]
-        moment = fine.time[i] + before / (before - after) * (fine.time[i + 1] - fine.time[i])
-        expected.append((moment, int(fine.contact[c]), bool(gap[i + 1, c])))
-    expected.sort()
-    events = contacts(sparse).events()
-    assert len(events) > 10
-    assert {event.opens for event in events} == {True, False}
-    assert [(e.contact, e.opens) for e in events] == [
-        (contact, opens) for _, contact, opens in expected
-    ]
-    found = np.array([e.time for e in events])
-    dense_found = np.array([moment for moment, _, _ in expected])
-    assert np.abs(found - dense_found).max() < 1e-4 * (sparse.time[1] - sparse.time[0])
 
 
 def test_a_gentle_wave_opens_nothing() -> None:
@@ -283,18 +231,7 @@ def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any
     assert back.seconds == pytest.approx(-flight.seconds, rel=1e-9, abs=0)
 
 
-def test_sound_between_sensors_of_unlike_grains() -> None:
-    """Long waves travel at d sqrt(k/m); distances are sums of diameters less overlaps."""
-    chain = column(150, gravity=0.0, top_load=1.0, exponent=1.0)
-    unit = chain.time_scale
-    bump = np.exp(-(np.linspace(-4, 16, 401) ** 2))
-    pulse = Drive(times=np.arange(401) * unit, displacement=1e-9 * (bump - bump[0]))
-    flight = time_of_flight(
-        run(chain, pulse, 140 * unit, 1401, grains="1:101"), 20, 60, "correlation"
-    )
-    spacing = 1e-3 - chain.equilibrium_overlap[0]
-    assert flight.distance == pytest.approx(40 * spacing, rel=1e-12, abs=0)
-    assert flight.speed == pytest.approx(spacing / unit, rel=2e-3, abs=0)
+def test_the_distance_between_sensors_of_unlike_grains() -> None:
     sizes = np.array([1e-3, 2e-3, 1e-3, 3e-3, 1e-3])
     loose = Chain(grains=5, diameter=sizes, gravity=0.0, bottom="free")
     t = run(loose, Impulse(velocity=1e-2), 3e-5, 301)

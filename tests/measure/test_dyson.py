@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -136,7 +137,6 @@ def test_the_json():
     seen = by_hand(-0.5)
     others = [ensemble(1.0, -0.5, 3e-3, 4), ensemble(-1.0, -0.5)]
     data = seen.to_json(ORDERED, others)
-    assert data["what"].startswith("Eq. (22) is a sum over the grains of one chain")
     assert data["velocity_unit_m_per_s"] == -0.5
     assert data["time_s"] == [0.0, 2e-5]
     assert data["tau"] == [0.0, 12.5]
@@ -170,7 +170,6 @@ def test_the_picture(unit: float):
     shown = r"$v_0$" if unit != 1 else "m/s"
     assert means.get_ylabel() == f"mean velocity ({shown})"
     assert terms.get_ylabel() == rf"$D_m(\kappa_n)\,\dot\varphi_n$ ({shown})"
-    assert terms.get_xlabel() == "grain number n, from the top"
     assert "Mean over 30 random linear chains, ± 2 standard errors" in means.get_title("left")
     assert "tau = 12.5" in terms.get_title("left")
     ordered, one, other, zero = means.lines
@@ -194,8 +193,6 @@ def test_the_picture(unit: float):
         assert line.get_label() == f"m = {m}: sum {weight @ velocity:.4g}"
     assert means.get_xlim() == terms.get_xlim() == (0.5, 6.5)
     assert len({line.get_color() for line in (one, other)}) == 2
-    assert means.get_legend() is not None
-    assert terms.get_legend() is not None
 
 
 def test_the_picture_ends_four_grains_below_the_wave():
@@ -206,26 +203,13 @@ def test_the_picture_ends_four_grains_below_the_wave():
     whole = by_hand(1.0)
     kappa = np.ones(size)
     motion = np.stack((wave, wave))
-    seen = DysonSums(
-        whole.m,
-        whole.time,
-        whole.tau,
-        kappa,
-        motion,
-        np.ones((2, size)),
-        *(np.zeros((2, 2)),) * 2,
-        1.0,
-    )
+    seen = replace(whole, kappa=kappa, velocity=motion, weight=np.ones((2, size)))
     mine = figure().subplots()
     assert seen.plot(np.zeros(size), [ensemble(1.0, 1.0)] * 2, mine) is mine
     assert mine.get_xlim() == (0.5, 44.5)
-    assert mine.get_xlabel() == "grain number n, from the top"
-    still = DysonSums(whole.m, whole.time, whole.tau, kappa, 0 * motion, np.ones((2, size)),
-                      *(np.zeros((2, 2)),) * 2, 1.0)  # fmt: skip
-    assert still.plot(np.zeros(size), [ensemble(1.0, 1.0)] * 2, figure().subplots()).get_xlim() == (
-        0.5,
-        90.5,
-    )
+    still = replace(seen, velocity=0 * motion)
+    axes = still.plot(np.zeros(size), [ensemble(1.0, 1.0)] * 2, figure().subplots())
+    assert axes.get_xlim() == (0.5, 90.5)
 
 
 def test_no_two_of_many_lines_look_alike():

@@ -17,7 +17,6 @@ from lmpchain import (
     Drive,
     Impulse,
     Profile,
-    Trajectory,
     engines,
     simulate,
 )
@@ -25,17 +24,6 @@ from lmpchain.measure.contact import contacts, drive_force
 from lmpchain.measure.energy import ledger
 from lmpchain.measure.flight import arrival
 from lmpchain.scene.excitation import Excitation
-
-
-def record(
-    chain: Chain,
-    excitation: Excitation,
-    duration: float,
-    samples: int,
-    tolerance: float = 1e-10,
-    **grains: Any,
-) -> Trajectory:
-    return run(chain, excitation, duration, samples, tolerance, **grains)
 
 
 def largest(values: Any) -> float:
@@ -65,7 +53,7 @@ UNDRIVEN = {
 def test_energy_and_momentum_are_conserved(case: tuple[Chain, Excitation, float]) -> None:
     """Without a driver, energy is constant; the momentum changes by the impulse of the ends."""
     chain, excitation, duration = case
-    t = record(chain, excitation, duration, 401)
+    t = run(chain, excitation, duration, 401, 1e-10)
     energy = ledger(t)
     assert largest(energy.drift) < 1e-9 * energy.total[0]
     assert not energy.drive.any()
@@ -92,7 +80,7 @@ def test_a_single_spring_exchanges_its_energy() -> None:
     """A ball on a spring between walls: K = E cos^2, momentum m v cos, impulse m v (cos - 1)."""
     chain = column(2, exponent=1.0, gravity=3.0)
     omega = np.sqrt(chain.contact_constants[0] / chain.masses[0])
-    t = record(chain, Impulse(velocity=1e-9), 10 / omega, 201, 1e-12)
+    t = run(chain, Impulse(velocity=1e-9), 10 / omega, 201, 1e-12)
     energy = ledger(t)
     swing = np.cos(omega * t.time)
     assert energy.kinetic == pytest.approx(energy.total[0] * swing**2, abs=1e-11 * energy.total[0])
@@ -108,7 +96,7 @@ def test_a_lifted_grain_falls_freely(exponent: float) -> None:
     chain = column(2, exponent=exponent)
     gap = 2 * chain.length_scale
     falls = np.sqrt(2 * gap / 9.81)
-    t = record(chain, Displacement(displacement=-1.5 * gap), 0.9 * falls, 11)
+    t = run(chain, Displacement(displacement=-1.5 * gap), 0.9 * falls, 11, 1e-10)
     energy = ledger(t)
     gained = chain.masses[0] * 9.81 * t.time
     assert energy.impulse == pytest.approx(gained, rel=1e-13, abs=0)
@@ -139,7 +127,7 @@ def test_the_work_of_a_driver_closes_the_ledger(drive: Drive) -> None:
     chain = column(20, top_load=1e-3)
     open_ends = []
     for samples in (129, 257, 513):
-        energy = ledger(of_error(record(chain, drive, 4e-5, samples, 1e-12)))
+        energy = ledger(of_error(run(chain, drive, 4e-5, samples, 1e-12)))
         for drift, error, scale in [
             (energy.drift, energy.drive_error, energy.total),
             (energy.momentum_drift, energy.impulse_error, energy.momentum),
@@ -166,7 +154,7 @@ def test_a_driver_of_springs_does_the_work_of_theory() -> None:
     omega = 0.8
     drive = Drive(amplitude=amplitude, frequency=omega / unit / (2 * np.pi))
     period = 2 * np.pi / omega
-    t = record(chain, drive, 14 * period * unit, 14 * 64 + 1, 1e-12)
+    t = run(chain, drive, 14 * period * unit, 14 * 64 + 1, 1e-12)
     energy = ledger(t)
     tau = t.time / unit
     node, weight = np.polynomial.legendre.leggauss(160)
@@ -218,16 +206,14 @@ def test_energy_is_shared_5_to_4_between_walls() -> None:
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
 def test_energy_of_a_solitary_wave(exponent: float) -> None:
     """The time average of K/E is (delta+1)/(delta+3): Slepyan, arXiv:1410.8301."""
-    struck = record(vacuum(70, exponent=exponent), Impulse(velocity=1.0), 70.0, 2, 1e-8)
+    struck = run(vacuum(70, exponent=exponent), Impulse(velocity=1.0), 70.0, 2, 1e-8)
     behind = int(struck.velocity[-1].argmax()) - 8
     u, v = (
         np.concatenate((x[-1, behind:], np.zeros(25)))
         for x in (struck.displacement, struck.velocity)
     )
     v[0] = 0.0
-    t = record(
-        vacuum(u.size, exponent=exponent), Profile(displacement=u, velocity=v), 24.0, 601, 1e-9
-    )
+    t = run(vacuum(u.size, exponent=exponent), Profile(displacement=u, velocity=v), 24.0, 601, 1e-9)
     energy = ledger(t)
     passes = [arrival(t.time, t.velocity[:, n - 1]).time for n in (12, 22)]
     assert largest(energy.kinetic / energy.total - energy.virial_ratio(*passes)) > 1e-3, (
@@ -237,7 +223,7 @@ def test_energy_of_a_solitary_wave(exponent: float) -> None:
 
 
 def test_energy_of_a_chain_at_rest_is_zero() -> None:
-    energy = ledger(record(COLUMN, Impulse(velocity=0.0), 1e-6, 5))
+    energy = ledger(run(COLUMN, Impulse(velocity=0.0), 1e-6, 5))
     assert not any(
         x.any()
         for x in (energy.total, energy.kinetic, energy.contact, energy.momentum, energy.impulse)
@@ -250,6 +236,6 @@ def test_energy_of_a_chain_at_rest_is_zero() -> None:
 
 
 def test_two_samples_give_no_error_estimate() -> None:
-    energy = ledger(of_error(record(COLUMN, DRIVES["piston"], 1e-6, 2)))
+    energy = ledger(of_error(run(COLUMN, DRIVES["piston"], 1e-6, 2)))
     assert energy.drive_error == energy.impulse_error == np.inf
     assert np.isfinite(energy.drive).all()

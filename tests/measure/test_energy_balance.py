@@ -26,14 +26,10 @@ from lmpchain import (
     Impulse,
     LmpchainError,
     Scene,
-    Stopped,
     Trajectory,
-    resume,
     simulate,
-    simulate_many,
 )
-from lmpchain.engines import Modes, Native
-from lmpchain.engines.stepping import time_stepping as stepping_run
+from lmpchain.engines import Modes
 from lmpchain.measure import energy
 
 Array = NDArray[np.float64]
@@ -315,36 +311,6 @@ def test_samples_alone_show_the_work_and_losses_of_a_driver(
     if driven:
         drag[driven - 1] = 0
     assert lost.of_grain[-1] == pytest.approx(drag, rel=1e-2)
-
-
-def test_energies_are_preserved_by_all_kinds_of_runs(tmp_path: Path, monkeypatch):
-    """Files, a resumed run, a batch, threads, and recorded grains: the bits stay."""
-    scene = case("tone", 41)
-    t = simulate(scene, "native", 1e-8)
-    names = {"dissipated", "dissipated_error", "drive", "drive_error"}
-    assert t.gathered.keys() == names
-    t.save(tmp_path / "run.nc")
-    some = scene.replace(grains=[2, 5], quantities=["peak_velocity"])
-    runs: list[Trajectory] = [
-        Trajectory.load(tmp_path / "run.nc"),
-        *simulate_many([scene, scene], 1e-8, "native"),
-        simulate(scene, Native(threads=2), 1e-8),
-        simulate(scene.replace(grains=[2, 5]), "native", 1e-8),
-    ]
-    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
-    folder = tmp_path / "run"
-    with pytest.raises(Stopped):
-        simulate(scene, "native", 1e-8, folder=folder, max_wall=1e-9)
-    assert not Trajectory.load(folder).gathered
-    with pytest.raises(Stopped):
-        resume(folder, max_wall=1e-9)
-    runs += [resume(folder), Trajectory.load(folder)]
-    for run in runs:
-        assert all(np.array_equal(run.gathered[name], t.gathered[name]) for name in names)
-    found = simulate(some, "native", 1e-8).gathered
-    assert found.keys() > names
-    errors = found["drive_error"] + t.gathered["drive_error"]
-    assert largest(found["drive"] - t.gathered["drive"]) <= errors
 
 
 def test_files_without_energies_are_read(tmp_path: Path, monkeypatch):

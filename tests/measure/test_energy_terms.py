@@ -30,6 +30,8 @@ from lmpchain.util.plotting import figure
 
 Array = NDArray[np.float64]
 UNEVEN = {"grains": 9, "diameter": np.linspace(1e-3, 1.4e-3, 9), "top_load": 2e-3}
+SMOOTH = {"times": [0, 1e-5, 2e-5, 3e-5, 4e-5], "interpolation": "spline"}
+PATH = 1e-9 * np.array([0, 1, 4, 7, 8])
 GIVEN = {
     "a sine on grain 3": (Chain(**UNEVEN), Force(grain=3, amplitude=1e-3, frequency=1e5)),
     "half a sine on grain 1": (
@@ -42,29 +44,15 @@ GIVEN = {
     ),
     "a wall that moves": (
         Chain(**UNEVEN, top="wall"),
-        Drive(
-            times=[0, 1e-5, 2e-5, 3e-5, 4e-5],
-            displacement=[0, 1e-9, 4e-9, 7e-9, 8e-9],
-            interpolation="spline",
-            grain=0,
-        ),
+        Drive(**SMOOTH, displacement=PATH, grain=0),
     ),
     "grain 1 that moves": (
         Chain(**UNEVEN, bottom="wall"),
-        Drive(
-            times=[0, 1e-5, 2e-5, 3e-5, 4e-5],
-            displacement=[0, 1e-9, 4e-9, 7e-9, 8e-9],
-            interpolation="spline",
-        ),
+        Drive(**SMOOTH, displacement=PATH),
     ),
     "a base that moves": (
         Chain(**UNEVEN, bottom="wall"),
-        Drive(
-            times=[0, 1e-5, 2e-5, 3e-5, 4e-5],
-            displacement=[0, -1e-9, -4e-9, -7e-9, -8e-9],
-            interpolation="spline",
-            end="bottom",
-        ),
+        Drive(**SMOOTH, displacement=-PATH, end="bottom"),
     ),
     "on a ground": (
         Chain(**UNEVEN, ground=Law("k*u", k=1e5)),
@@ -140,23 +128,16 @@ def test_every_term_and_the_energy_input(name: str):
     )
 
 
+KNOCK = {"times": [0, 3e-6, 1e-5], "displacement": [0, 1e-8, 0], "interpolation": "linear"}
 HAMMERS = {
     "half a sine": Force(grain=2, shape="half-sine", amplitude=1e-2, duration=1e-5),
     "a triangle": Force(grain=2, times=[0, 3e-6, 1e-5], force=[0, 1e-2, 0], interpolation="linear"),
     "a burst": Force(grain=1, amplitude=1e-2, frequency=2e5, cycles=2),
-    "a wall": Drive(
-        times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear", grain=0
-    ),
-    "grain 1": Drive(times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear"),
-    "grain 1 on a ground": Drive(
-        times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear"
-    ),
-    "a base": Drive(
-        times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear", end="bottom"
-    ),
-    "the last grain": Drive(
-        times=[0, 3e-6, 1e-5], displacement=[0, 1e-8, 0], interpolation="linear", end="bottom"
-    ),
+    "a wall": Drive(**KNOCK, grain=0),
+    "grain 1": Drive(**KNOCK),
+    "grain 1 on a ground": Drive(**KNOCK),
+    "a base": Drive(**KNOCK, end="bottom"),
+    "the last grain": Drive(**KNOCK, end="bottom"),
 }
 
 

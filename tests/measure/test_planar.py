@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.example_scenes import run
 from helpers.thinned import thinned
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 from scipy.optimize import brentq
@@ -23,8 +24,7 @@ def shock_of(exponent: float, strength: float, grains: int = 300) -> Trajectory:
     speed = strength * float(chain.equilibrium_overlap[0]) / chain.time_scale
     piston = Drive(shape="piston", velocity=speed, rise=1e-6, grain=0)
     duration = 0.9 * grains * chain.time_scale
-    scene = Scene(chain=chain, excitation=piston, duration=duration, samples=4 * grains + 1)
-    return simulate(scene, "native", 1e-6)
+    return run(chain, piston, duration, 4 * grains + 1, 1e-6)
 
 
 @cache

@@ -12,7 +12,6 @@ from lmpchain import Chain, Drive, Force, Impulse, InputError, Trajectory, patte
 from lmpchain.measure import energy, power
 from lmpchain.measure.motion import motion_of
 from lmpchain.theory import scattering
-from lmpchain.theory.steady import displacements
 
 CHAIN = column(
     60, gravity=0.0, top_load=1.0, bottom="wall", impurity=[{"grain": 30, "diameter": 1.6e-3}]
@@ -75,18 +74,6 @@ def test_the_share_decreases_with_amplitude_beyond_the_errors() -> None:
     weak = power.through(pushed(1e-4), 100)
     strong = power.through(pushed(0.3), 100)
     assert weak.share - strong.share > 3 * (weak.share_error + strong.share_error)
-
-
-def test_the_steady_state_agrees_with_a_dense_matrix() -> None:
-    """The steady state solves the complex linear equations, which numpy solves independently."""
-    chain = CHAIN.replace(damping={"viscoelastic": 1e-8, "drag": 100.0})
-    push = Force(grain=7, amplitude=1.0, frequency=FREQUENCY)
-    omega = 2 * np.pi * FREQUENCY
-    k = chain.contacts.stiffness * (1 + 1e-8j * omega)
-    matrix = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
-    matrix -= np.diag(chain.masses * (omega**2 - 100j * omega))
-    expected = np.linalg.solve(matrix, np.eye(60)[6])
-    assert displacements(chain, push)[1:-1] == pytest.approx(expected, rel=1e-10)
 
 
 @pytest.mark.parametrize(("drag", "periods"), [(2.0, 25), (30.0, 60), (6000.0, 23)])

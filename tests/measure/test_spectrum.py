@@ -11,9 +11,7 @@ import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 from helpers.faults import fault_keys
-from helpers.independent_theory import dense_modes
 from numpy.typing import NDArray
-from scipy.signal import find_peaks
 
 from lmpchain import Chain, Impulse, InputError, Trajectory, simulate
 from lmpchain.measure.front import track
@@ -46,29 +44,6 @@ def loaded(grains: int, **given: Any) -> Chain:
 
 
 # --- in time
-
-
-@pytest.mark.parametrize("chain", [loaded(7, exponent=1.0), column(9)], ids=["springs", "column"])
-def test_a_chain_rings_at_its_eigenfrequencies(chain: Chain):
-    exact = np.sqrt(dense_modes(chain)[0]) / (2 * np.pi)
-    speed = 1e-5 * chain.length_scale / chain.time_scale
-    duration = 100 / np.diff(exact).min()
-    scene = scene_of(chain, Impulse(velocity=speed), duration, int(4 * exact[-1] * duration))
-    found = spectrum(simulate(scene, engine="native", tolerance=1e-6), window="hann")
-    together = found.amplitude.sum(1)
-    peaks, _ = find_peaks(together, height=1e-3 * together.max())
-    assert found.frequency[peaks] == pytest.approx(exact, abs=0.51 * found.frequency[1])
-
-
-def test_the_top_lets_only_low_frequencies_into_a_column():
-    chain = column(80)
-    speed = 1e-4 * chain.length_scale / chain.time_scale
-    scene = scene_of(chain, Impulse(velocity=speed), 60 * chain.time_scale, 601, grains=[60, 1, 30])
-    found = spectrum(simulate(scene, engine="native", tolerance=1e-8), window="hann")
-    assert found.grain.tolist() == [1, 30, 60]
-    assert found.cut_off == pytest.approx(cut_off(chain)[[0, 29, 59]], rel=1e-14)
-    above = found.frequency > 1.5 * found.cut_off[0]
-    assert found.amplitude[above, 2].max() < 1e-3 * found.amplitude[:, 2].max()
 
 
 # --- in space and time

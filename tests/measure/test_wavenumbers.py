@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.changed_recordings import part_of
+from helpers.example_scenes import run
 
 from lmpchain import Chain, Impulse, InputError, Packet, Scene, Trajectory, simulate
 from lmpchain.measure import energy, wavenumbers
@@ -19,8 +20,7 @@ def packet(grains: int = 400, wavenumber: float = 1.0) -> Trajectory:
     chain = Chain(grains=grains, top="wall", **HOST)
     frequency = np.sin(wavenumber / 2) / np.pi / chain.time_scale
     wave = Packet(frequency=frequency, width=14, grain=120, amplitude=1e-12)
-    scene = Scene(chain=chain, excitation=wave, duration=150 * chain.time_scale, samples=31)
-    return simulate(scene, engine="native", tolerance=1e-7)
+    return run(chain, wave, 150 * chain.time_scale, 31, 1e-7)
 
 
 @pytest.mark.parametrize("load", [0.0, 1.0])
@@ -129,6 +129,3 @@ def test_energies_that_cannot_be_split_are_rejected() -> None:
     ):
         with pytest.raises(InputError, match=f"^{key}"):
             wavenumbers.bands(t, *arguments)
-    some = simulate(t.scene.replace(grains=[1, 2, 3]), "native", 1e-3)
-    with pytest.raises(InputError, match="grains: 3 of 400"):
-        wavenumbers.bands(some)

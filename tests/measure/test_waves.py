@@ -84,30 +84,6 @@ def test_the_covariance_of_fitted_parameters(rng: np.random.Generator, late: Tra
     assert last == FittedNumber("bessel", "residual", fit.residual, expected=0.0)
 
 
-@pytest.mark.slow
-def test_noise_scatters_as_the_covariance_says(rng: np.random.Generator, late: Trajectory):
-    """One standard error covers 68 %, two cover 95 %; the parameters have the stated covariance."""
-    few = part_of(late, samples=slice(None, None, 2))
-    unit = late.scene.chain.time_scale
-    away = []
-    joint = []
-    true = np.array([-2e-9, 1.05 / unit, unit, 1.05**2])
-    for _ in range(60):
-        fit = fit_bessel(
-            replace(few, velocity=few.velocity + 5e-11 * rng.normal(size=few.velocity.shape))
-        )
-        off = np.array([fit.amplitude, fit.rate, fit.delay, fit.kappa]) - true
-        away.append(np.abs(off / fit.error))
-        scale = fit.error[:3]
-        together = fit.covariance / scale[:, None] / scale
-        joint.append((off[:3] / scale) @ np.linalg.solve(together, off[:3] / scale))
-    within = np.array(away)
-    assert (within < 1).mean(0) == pytest.approx(np.full(4, 0.683), abs=0.18)
-    assert ((within < 2).mean(0) >= 0.86).all()
-    assert np.mean(joint) == pytest.approx(3.0, abs=0.95), "the mean of chi^2 of three"
-    assert np.mean(np.array(joint) < 7.815) == pytest.approx(0.95, abs=0.07)
-
-
 @pytest.mark.parametrize(
     ("more", "struck", "first", "last"),
     [
