@@ -85,25 +85,34 @@ def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
     assert signal.grain == 5
 
 
-@pytest.mark.parametrize("top", ["free", "wall"])
-def test_force_of_a_driver(top: str):
-    """The force on grain 1 is m a + F_1 - m g, with load or wall; on a wall, the contact force."""
-    chain = column(7, top_load=1e-3, top=top)
-    drive = Drive(amplitude=2e-9, frequency=1e5, grain=0 if top == "wall" else 1)
+@pytest.mark.parametrize(
+    ("ends", "place", "body"),
+    [
+        ({}, {"grain": 1}, 1),
+        ({"top": "wall"}, {"grain": 1}, 1),
+        ({"top": "wall"}, {"grain": 0}, 0),
+        ({"bottom": "wall"}, {"end": "bottom"}, 8),
+        ({}, {"end": "bottom"}, 7),
+    ],
+)
+def test_force_of_a_driver(ends: dict[str, Any], place: dict[str, Any], body: int):
+    """The force is m (a - g) of a driven grain, plus the contact below, minus the one above."""
+    chain = column(7, top_load=1e-3, **ends)
+    drive = Drive(**place, amplitude=2e-9, frequency=1e5)
     t = simulate(scene_of(chain, drive, 2e-5, 41), engines.Native(step=1e-8))
     omega = 2 * np.pi * 1e5
     given = [2e-9 * np.sin(omega * t.time), 2e-9 * omega * np.cos(omega * t.time)]
     given.append(-(omega**2) * given[0])
     for seen, exact in zip(drive_motion(t), given, strict=True):
         assert seen == pytest.approx(exact, abs=1e-12 * np.abs(exact).max())
-    constant = chain.contacts.constant
-    overlap = chain.contacts.overlap
-    u = t.displacement
-    if top == "wall":
-        force = constant[0] * np.maximum(overlap[0] + given[0] - u[:, 0], 0) ** 1.5
-    else:
-        below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
-        force = chain.masses[0] * given[2] + below - 9.81 * chain.masses[0]
+    u = np.pad(t.displacement, ((0, 0), (1, 1)))
+    u[:, body] = given[0]
+    contacts = chain.contacts
+    overlap = np.maximum(contacts.overlap + u[:, :-1] - u[:, 1:], 0.0)
+    pressed = np.where(contacts.exists, contacts.constant * overlap**1.5, 0.0)
+    above, below = np.pad(pressed, ((0, 0), (1, 1)))[:, body : body + 2].T
+    mass = chain.masses[body - 1] if 1 <= body <= 7 else 0.0
+    force = mass * (given[2] - 9.81) + below - above
     assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
     # At rest a driver carries the load on its own grain.
     still = Drive(times=[0, 1e-6], displacement=[0, 0])
@@ -366,21 +375,6 @@ def test_largest_values_are_labelled_by_grain():
         assert seen.value == pytest.approx(sampled, rel=2e-2)
         assert (seen.value >= sampled * (1 - 1e-12)).all()
     assert np.array_equal(peaks(t).value, peaks(t, "velocity").value)
-
-
-def test_drive_force_on_grain_1_below_a_wall():
-    """The force is m a + F_1 - F_0 - m g, 0 at rest, because the wall pushes as well."""
-    chain = column(7, top_load=1e-3, top="wall")
-    drive = Drive(amplitude=2e-9, frequency=1e5)
-    t = simulate(scene_of(chain, drive, 2e-5, 41), engines.Native(step=1e-8))
-    omega = 2 * np.pi * 1e5
-    u = t.displacement
-    constant = chain.contacts.constant
-    overlap = chain.contacts.overlap
-    above = constant[0] * np.maximum(overlap[0] - u[:, 0], 0) ** 1.5
-    below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
-    force = chain.masses[0] * (-(omega**2) * u[:, 0] - 9.81) + below - above
-    assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
 
 
 def test_the_balance_needs_every_grain_that_can_move():
