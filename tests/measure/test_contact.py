@@ -276,10 +276,6 @@ def test_what_is_not_there_is_named(opening: Trajectory) -> None:
         ("record these too: 11", lambda: wall_force(some)),
         ("record these too: 2", lambda: drive_force(driven)),
         ("numbers: the contacts are numbered 1 to 11 (got [0])", lambda: contacts(opening, [0])),
-        (
-            "numbers: the contacts are numbered 1 to 11 (got [12, 13])",
-            lambda: contacts(opening, [12, 13]),
-        ),
         ("end: there is no wall at the end 'top'", lambda: wall_force(opening, "top")),
         ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
         (

@@ -143,21 +143,16 @@ def test_the_json():
     assert data["kappa"] == pytest.approx(np.arange(1, 7) ** (1 / 3), rel=1e-15)
     assert data["ordered_velocity"] == pytest.approx(-2 * ORDERED, rel=1e-15)
     assert (data["realisations"], data["seed"]) == (30, 17)
-    first, second = data["rows"]
+    first, _ = data["rows"]
     weight = dyson_weight(np.arange(1, 7) ** (1 / 3), 1)
     printed = weight @ np.array([[1.0, 0, 0, 0, 0, 0], [0.5, 0.25, -0.125, 1e-2, 4e-4, 0.0]]).T
     assert first["m"] == 1
     assert first["as_printed_over_time"] == pytest.approx(printed, rel=1e-13)
     assert first["normalised_over_time"] == pytest.approx(printed / weight.sum(), rel=1e-13)
-    assert first["as_printed"] == pytest.approx(printed[1], rel=1e-13)
-    assert first["normalised"] == pytest.approx(printed[1] / weight.sum(), rel=1e-13)
-    assert first["weights"] == pytest.approx(weight.sum(), rel=1e-13)
     chains = first["random_chains"]
     assert chains["mean_velocity"] == [0.25, -0.5, 0.125]
     assert chains["standard_errors"] == [0.01, 0.02, 0.04]
-    assert (chains["largest"], chains["standard_error"], chains["grain"]) == (-0.5, 0.02, 2)
     assert (chains["model_error"], chains["squeezed_chains"]) == (3e-3, 4)
-    assert second["random_chains"]["largest"] == 0.5
 
 
 @pytest.mark.parametrize("unit", [1.0, -0.5])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.changed_recordings import of_error
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of, struck
+from helpers.example_scenes import run, scene_of, struck
 from helpers.taylor_series import reference
 from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
@@ -296,8 +296,7 @@ def test_samples_alone_show_the_work_and_losses_of_a_driver(
     """Integrals over dense samples agree with those that were accumulated, within small errors."""
     shaker = Drive(**place, amplitude=1e-8, frequency=1e5)
     chain = Chain(**WALLS | {"bottom": bottom}, damping=DAMPING)
-    scene = scene_of(chain, shaker, 4e-5, 401)
-    t = simulate(scene, "native", 1e-10)
+    t = run(chain, shaker, 4e-5, 401, 1e-10)
     foreign = of_error(t)
     known, found = energy.ledger(t), energy.ledger(foreign)
     for name in ("drive", "dissipated"):

@@ -64,26 +64,6 @@ def test_a_closed_form():
     assert found.contact.tolist() == [1]
 
 
-def test_energies_in_a_sweep(tmp_path):
-    scene = scene_of(LOADED, ACTED["struck"], 2e-5, 11)
-    asked = {
-        "scene": scene.to_dict(),
-        "keep": ["energy", "grain_energy", "contact_energy"],
-        "engine": "native",
-    }
-    data = sweep(
-        asked | {"tolerance": 1e-9, "grid": {"excitation.velocity": [1e-3, 2e-3]}}, tmp_path
-    )
-    found = energy.shares(simulate(scene, "native", 1e-9))
-    first = data.isel({"excitation.velocity": 0})
-    assert first["energy"].to_numpy() == pytest.approx(scene.energy, rel=1e-8)
-    assert first["grain_energy"].to_numpy() == pytest.approx(found.of_grain, rel=1e-12)
-    assert first["contact_energy"].to_numpy() == pytest.approx(found.elastic[:, 1:], rel=1e-12)
-    for name, exact in (("energy", scene.energy), ("grain_energy", found.of_grain)):
-        off = np.abs(first[name].to_numpy() - exact)
-        assert (off <= first[f"{name}_error"].to_numpy() + 1e-12 * scene.energy).all()
-
-
 def test_the_energy_of_grains_does_not_depend_on_other_recorded_grains(tmp_path):
     scene = scene_of(LOADED, ACTED["struck"], 2e-5, 11, grains="3:6").to_dict()
     kept = {}

@@ -7,7 +7,7 @@ from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
 from lmpchain.cli import main
 from lmpchain.measure.fit import fit_passage
 from lmpchain.measure.fit import overview as module
-from lmpchain.measure.fit.overview import FrontPassage, summary
+from lmpchain.measure.fit.overview import FrontPassage
 from lmpchain.measure.fit.table import FittedNumber
 from lmpchain.measure.front import Front
 from lmpchain.measure.motion import Peaks
@@ -115,9 +115,3 @@ def test_a_forced_level_chain_prints_the_wave_and_short_reasons(tmp_path, capsys
     # One line for all laws of a column under gravity, and one reason each.
     assert [reason.partition(" (")[0] for reason in reasons][-1].startswith("continuum, exponents")
     assert not any("; " in reason for reason in reasons)
-
-
-def test_a_chain_at_rest_has_no_front():
-    scene = Scene(chain=CHAIN, excitation=Impulse(velocity=0.0), duration=1e-4, samples=101)
-    found = summary(simulate(scene, "native"))
-    assert "front" in dict(found.left_out)

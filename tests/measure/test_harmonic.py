@@ -147,20 +147,26 @@ def test_phase_and_strain_of_a_given_motion() -> None:
     omega = 2 * np.pi * t.scene.excitation.frequency
     lag = 0.9 * t.grains + 2e-4 * t.grains**2
     static = -rest * (1e-3 * t.grains + 1e-6 * t.grains**2)
-    motion = 0.1 * rest * np.cos(omega * t.time[:, None] - lag) + static
+    size = 0.1 * rest * np.exp(-5e-3 * t.grains)
+    motion = size * np.cos(omega * t.time[:, None] - lag) + static
     found = harmonic.wave(of_error(replace(t, displacement=motion)), first=5, last=61)
     chosen = found.grain - 1
     assert found.grain.tolist() == list(range(5, 62))
-    amplitude = 0.1 * rest * np.exp(-1j * lag[chosen])
+    amplitude = (size * np.exp(-1j * lag))[chosen]
     assert np.abs(found.amplitude - amplitude).max() < 1e-9 * rest
 
     def cosine(a: np.ndarray) -> complex:
         return complex(np.linalg.lstsq(2 * a[1:-1, None], a[:-2] + a[2:])[0][0])
 
-    # All amplitudes are equal, so that the middle of the 55 inner grains divides the energy.
-    whole, early, late = (cosine(a) for a in (amplitude, amplitude[:29], amplitude[27:]))
-    assert found.phase == pytest.approx(np.arccos(whole).real, rel=1e-9)
-    error = abs(early - late) / np.sin(found.phase)
+    # The parts have half of the sum of the squares of the inner amplitudes.
+    squares = np.cumsum(np.abs(amplitude[1:-1]) ** 2)
+    half = int((squares >= squares[-1] / 2).argmax())
+    parts = (amplitude, amplitude[: half + 2], amplitude[half:])
+    whole, early, late = (cosine(a) for a in parts)
+    exact = np.arccos(whole)
+    assert found.phase == pytest.approx(exact.real, rel=1e-9)
+    assert found.decay == pytest.approx(abs(exact.imag), rel=1e-6)
+    error = abs(early - late) / abs(np.sin(exact))
     assert found.phase_error == pytest.approx(error, rel=0.01)
     assert found.decay_error == pytest.approx(error, rel=0.01)
     strain = -np.diff(static[chosen]) / rest

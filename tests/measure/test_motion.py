@@ -135,13 +135,6 @@ def test_recorded_grains_alone():
     assert (less[[0, 1, 3]] > 10).all()
 
 
-def test_driven_grain():
-    drive = Drive(amplitude=1e-9, frequency=20e3)
-    scene = scene_of(Chain(grains=30, diameter=1e-3), drive, 1e-4, 201)
-    found = peaks(simulate(scene, "native", 1e-9))
-    assert abs(found.value[0] - 2e4 * 2 * np.pi * 1e-9) <= found.error[0] < 1e-5 * found.value[0]
-
-
 def test_unknown_errors_leave_the_sampling_errors():
     t = simulate(paper("fig5 g", 201), "native", 1e-6)
     unknown = replace(t, error_estimate=replace(t.error_estimate, solver=np.inf))

@@ -9,7 +9,7 @@ from helpers.thinned import thinned
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 from scipy.optimize import brentq
 
-from lmpchain import Chain, Drive, InputError, Riemann, Scene, Trajectory, simulate
+from lmpchain import Chain, Drive, InputError, Riemann, Trajectory
 from lmpchain.measure import planar, shock
 from lmpchain.theory.shock import Medium
 from lmpchain.theory.soliton import solve
@@ -167,8 +167,6 @@ def test_only_dispersive_shocks_have_orbits() -> None:
     chain = Chain(grains=300, diameter=1e-3, gravity=0.0, top_load=1.0, top="free")
     less = -0.5 * float(chain.equilibrium_overlap[0]) / 1e-3
     step = Riemann(velocity=(0, 0), strain=(less, 0), grain=150)
-    duration = 120 * chain.time_scale
-    scene = Scene(chain=chain, excitation=step, duration=duration, samples=401)
-    run = simulate(scene, "native")
+    t = run(chain, step, 120 * chain.time_scale, 401, 1e-6)
     with pytest.raises(InputError, match="not of a rarefaction"):
-        planar.orbits(run)
+        planar.orbits(t)

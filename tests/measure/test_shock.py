@@ -79,8 +79,6 @@ def test_edges_of_a_dispersive_shock(velocity: float) -> None:
     # A sudden piston would have begun halfway through the rise.
     assert found.start == pytest.approx(5 / SOUND, rel=1e-9)
     assert (found.source, found.downward) == (1, True)
-    apart = (found.leading.speed - found.trailing.speed) * (found.time - found.start)
-    assert found.thickness == pytest.approx(apart, rel=1e-9)
 
 
 @pytest.mark.parametrize(("velocity", "viscosity"), [(1.0, 0.0), (0.3, 0.3), (-0.4, 0.0)])
@@ -184,16 +182,6 @@ def test_steady_shock_of_a_damped_chain() -> None:
     assert found.mass_speed == pytest.approx(speed, rel=5e-4)
     assert found.momentum_speed == pytest.approx(speed, rel=5e-4)
     assert found.trailing == found.leading
-    # At the last contact that counts, the front has passed to 95 % or more.
-    assert 0.95 <= found.leading.height / (theory.overlap - OVERLAP) < 1.001
-    missing = abs(found.leading.height - (theory.overlap - OVERLAP))
-    assert 0.99 * missing < found.leading.height_error < 0.06 * found.leading.height
-    assert found.leading.velocity == pytest.approx(0.3 * OVERLAP * SOUND, rel=0.05)
-    # The front is as thick as its steepest slope in time, at this contact, says.
-    jump = theory.overlap - OVERLAP
-    last = np.flatnonzero(found.overlap > OVERLAP + 0.95 * jump)[-1]
-    change = np.diff(found.overlap_then[:, last]) / np.diff(found.moment)
-    assert found.thickness == pytest.approx(speed * jump / change.max(), rel=0.02)
 
 
 def given_wave(

@@ -71,9 +71,9 @@ def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston:
     assert theory.height == pytest.approx(LENGTH * exact.height, rel=1e-4)
 
 
-@pytest.mark.parametrize("piston", [0.6, 1.2])
-def test_edges_of_a_young_toda_chain(piston: float):
+def test_edges_of_a_young_toda_chain():
     """After 150 grains the errors show the lag of the leading soliton, and cover the others."""
+    piston = 0.6
     exact = toda_chain.exact(piston)
     wave = toda(piston, 150)
     speed, error = wave.leading.speed / SOUND, wave.leading.error / SOUND

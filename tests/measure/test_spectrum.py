@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of
+from helpers.example_scenes import run, scene_of
 from helpers.faults import fault_keys
 from numpy.typing import NDArray
 
@@ -54,8 +54,8 @@ def test_a_uniform_chain_has_its_dispersion_relation():
     chain = loaded(121)
     omega = 2 * np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
     speed = 1e-4 * chain.length_scale * omega
-    scene = scene_of(chain, Impulse(velocity=speed, grain=61), 110 / omega, 401)
-    found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 1, 121)
+    t = run(chain, Impulse(velocity=speed, grain=61), 110 / omega, 401, 1e-8)
+    found = dispersion(t, 1, 121)
     assert found.grain.tolist() == [1, 61, 121]
     exact = omega / (2 * np.pi) * np.abs(np.sin(found.wavenumber / 2))
     assert found.relation == pytest.approx(np.tile(exact, (3, 1, 1)), rel=1e-12)
@@ -68,8 +68,8 @@ def test_a_uniform_chain_has_its_dispersion_relation():
 def test_waves_in_a_column_move_downward_on_the_local_relation():
     chain = column(200)
     speed = 1e-4 * chain.length_scale / chain.time_scale
-    scene = scene_of(chain, Impulse(velocity=speed), 110 * chain.time_scale, 1001)
-    found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 60, 140)
+    t = run(chain, Impulse(velocity=speed), 110 * chain.time_scale, 1001, 1e-8)
+    found = dispersion(t, 60, 140)
     down, up = (
         found.amplitude[:, side].max() for side in (found.wavenumber > 0.1, found.wavenumber < -0.1)
     )
