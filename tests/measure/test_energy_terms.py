@@ -169,6 +169,16 @@ def test_the_work_of_a_hammer_is_right_for_few_samples(name: str, within: float)
         assert lost < 0.2 / within**4 * max(np.abs(alone.momentum).max(), 1e-2 * 1e-5)
 
 
+def test_work_of_a_force_far_faster_than_the_samples():
+    """The samples resolve the chain, but the force turns by 10 rad between two of them."""
+    chain = Chain(**UNEVEN)
+    edge = chain.band_edge
+    force = Force(grain=3, amplitude=1e-3, frequency=10 * edge / (2 * np.pi))
+    seen = energy.ledger(of_error(run(chain, force, 40 / edge, 41, 1e-10)))
+    assert np.abs(seen.drift).max() < 5e-3 * seen.total.max()
+    assert np.abs(seen.momentum_drift).max() < 1e-3 * np.abs(seen.momentum).max()
+
+
 def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:
     """Return the running integral by the trapezoidal rule with its first correction."""
     parts = step * (value[1:] + value[:-1]) / 2 + step**2 / 12 * (slope[:-1] - slope[1:])
@@ -211,19 +221,11 @@ def test_the_errors_are_the_shift_when_every_second_sample_is_used():
 def swinging(**more: Any) -> EnergyLedger:
     """Return the ledger of 2 J oscillating between motion and a spring: K = 2 cos(t)^2."""
     time = np.linspace(0, 10, 2001)
-    zero = np.zeros(time.size)
-    total = np.full(time.size, 2.0)
-    terms = {
-        "time": time,
-        "kinetic": 2 * np.cos(time) ** 2,
-        "contact": zero,
-        "ground": zero,
-        "gravity": zero,
-        "load": zero,
-    }
-    rest = {"momentum": zero, "impulse": zero, "drive_error": 0.0, "impulse_error": 0.0}
-    rest |= {"dissipated": zero, "dissipated_error": 0.0}
-    return EnergyLedger(**terms | {"total": total, "drive": zero} | rest | more)
+    terms = ("contact", "ground", "gravity", "load", "drive", "dissipated", "momentum", "impulse")
+    given = dict.fromkeys(terms, np.zeros(time.size))
+    given |= {"time": time, "kinetic": 2 * np.cos(time) ** 2, "total": np.full(time.size, 2.0)}
+    errors = dict.fromkeys(("drive_error", "impulse_error", "dissipated_error"), 0.0)
+    return EnergyLedger(**given | errors | more)
 
 
 def test_the_virial_ratio_of_a_part_of_the_time():

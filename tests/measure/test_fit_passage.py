@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
-from lmpchain.cli import main
 from lmpchain.measure.fit import fit_passage
 from lmpchain.measure.fit import overview as module
 from lmpchain.measure.fit.overview import FrontPassage
@@ -103,15 +102,3 @@ def test_forces_of_blocks_of_contacts_equal_those_of_all(monkeypatch: pytest.Mon
     monkeypatch.setattr(module, "CONTACTS_AT_ONCE", 7)
     again = fit_passage(run)
     assert (again.contact, again.force) == (whole.contact, whole.force)
-
-
-def test_a_forced_level_chain_prints_the_wave_and_short_reasons(tmp_path, capsys):
-    ran("push", 801).save(tmp_path / "run.nc")
-    assert main(["fit", str(tmp_path / "run.nc")]) == 0
-    said = capsys.readouterr().out
-    for words in ("arrival at grain", "mean speed, grains", "largest velocity", "sampled force"):
-        assert words in said
-    reasons = said.split("left out: ")[1:]
-    # One line for all laws of a column under gravity, and one reason each.
-    assert [reason.partition(" (")[0] for reason in reasons][-1].startswith("continuum, exponents")
-    assert not any("; " in reason for reason in reasons)

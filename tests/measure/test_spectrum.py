@@ -13,7 +13,7 @@ from helpers.example_scenes import run, scene_of
 from helpers.faults import fault_keys
 from numpy.typing import NDArray
 
-from lmpchain import Chain, Impulse, InputError, Trajectory, simulate
+from lmpchain import Chain, Impulse, Trajectory, simulate
 from lmpchain.measure.front import track
 from lmpchain.measure.spectrum import cut_off, dispersion, space_time, spectrum, travel_time
 
@@ -190,13 +190,6 @@ def test_travel_time_in_a_column():
 )
 def test_faults_name_their_key(call: Callable[[Trajectory], object], key: str):
     assert fault_keys(call, made_up(noise)) == [key]
-
-
-def test_an_unrecorded_grain_is_named_with_the_remedy():
-    t = made_up(noise)
-    gap = replace(t, grains=np.delete(np.arange(1, 18), 8))
-    with pytest.raises(InputError, match=r'grain 9 was not recorded.*record grains = "1:16"'):
-        dispersion(gap, 1, 16)
 
 
 def ringing(**given: Any) -> Trajectory:
