@@ -182,8 +182,8 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     ------
     InputError
         If the chain is not uniform, has gravity, damping or springs, or was not fully recorded. If
-        the run does not start with two separate solitary waves that will meet, or if a wave passes
-        fewer than 8 grains alone before or after the collision.
+        the run does not start with two separate solitary waves that will meet, if `start` is not
+        within the run, or if a wave passes fewer than 8 grains alone before or after the collision.
 
     Examples
     --------
@@ -212,7 +212,11 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
         raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
     time = trajectory.time
     velocity = np.asarray(trajectory.velocity)
-    waves = _two_waves(chain, velocity[int(np.searchsorted(time, start))])
+    if not 0 <= start <= time[-1]:
+        raise InputError.at("start", f"must be 0 to {time[-1]:.4g} s, the run (got {start})")
+    first = int(np.searchsorted(time, start))
+    start = float(time[first])
+    waves = _two_waves(chain, velocity[first])
     gap = waves[1].grain - waves[0].grain
     closing = waves[0].speed - waves[1].speed
     if not closing * gap > 0:

@@ -138,8 +138,18 @@ class EnergyLedger(Shown, Tabular):
         In a sonic vacuum between walls the ratio tends to (delta + 1) / (delta + 3), or 5/9 for
         Hertz contacts; the deviation decays as 1 / time (Slepyan, arXiv:1410.8301). In a weak wave
         the ratio tends to 1/2. It is NaN without energy.
+
+        Raises
+        ------
+        InputError
+            If `start` and `end` are not within the run, one after the other.
         """
-        end = self.time[-1] if end is None else end
+        last = float(self.time[-1])
+        end = last if end is None else end
+        if not self.time[0] <= start < end <= last:
+            raise InputError.at(
+                "end", f"must be after start, both within 0 to {last:.4g} s (got {start} to {end})"
+            )
         kinetic, total = (
             CubicSpline(self.time, x).integrate(start, end) for x in (self.kinetic, self.total)
         )

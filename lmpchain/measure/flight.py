@@ -99,7 +99,7 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     Raises
     ------
     InputError
-        If the largest value is the first or the last one.
+        If the largest value is the first or the last one, or not every time has a finite value.
 
     Examples
     --------
@@ -110,6 +110,8 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     """
     time = numbers(time, "time")
     values = numbers(values, "values")
+    if values.shape != time.shape or not np.isfinite(values).all():
+        raise InputError.at("values", "must be finite numbers, one for each time")
     top = int(np.argmax(values))
     last = len(values) - 1
     if not 0 < top < last:

@@ -11,7 +11,7 @@ from scipy import optimize, stats
 
 from ..errors import InputError, shown
 from ..trajectory.trajectory import UNITS_OF_FIELDS, Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, mark_decades
@@ -241,7 +241,7 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     trajectory : Trajectory
     field : "velocity" or "displacement"
     fraction : float
-        Smallest height of a front relative to the largest value at its grain, between 0 and 1.
+        Smallest height of a front relative to the largest value at its grain, above 0, at most 1.
 
     Returns
     -------
@@ -250,8 +250,8 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     Raises
     ------
     InputError
-        If no front passes a grain, there are fewer than 16 samples, or the samples are too far
-        apart to show which maximum is the front at most grains.
+        If the fraction is not valid, no front passes a grain, there are fewer than 16 samples, or
+        the samples are too far apart to show which maximum is the front at most grains.
 
     Examples
     --------
@@ -264,6 +264,8 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     ([2, 3, 4], ['190 m/s', '212 m/s', '227 m/s'])
     """
     check(trajectory, field)
+    if not 0 < fraction <= 1:
+        raise InputError.at("fraction", f"must be above 0 and at most 1 (got {fraction})")
     error = trajectory.error_estimate.solver
     motion = motion_of(trajectory)
     order = np.argsort(trajectory.grains)
@@ -321,7 +323,7 @@ def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None 
         If the window is smaller than 3, or larger than the number of grains that the front passes.
     """
     depth, values, _ = front.against_depth(quantity)
-    size = depth.size if window is None else window
+    size = depth.size if window is None else int(whole_numbers(window, "window"))
     if not 3 <= size <= depth.size:
         raise InputError.at(
             "window", f"must be 3 to {depth.size}, the number of grains passed (got {size})"

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.acting import Drive, Force
+from ..scene.base import Excitation
 from ..theory.steady import drive_stiffness, dynamic_stiffness
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
@@ -325,6 +326,33 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     return DrivePoint(drive.frequency, whole, float(error), linear)
 
 
+def harmonic_drive(excitation: Excitation) -> Drive | Force:
+    """Return a drive or force of one amplitude, other than 0, and frequency.
+
+    Parameters
+    ----------
+    excitation : Excitation
+
+    Returns
+    -------
+    Drive or Force
+
+    Raises
+    ------
+    InputError
+        If the excitation is anything else.
+    """
+    if (
+        isinstance(excitation, Drive | Force)
+        and excitation.frequency is not None
+        and excitation.cycles is None
+        and excitation.amplitude
+    ):
+        return excitation
+    rule = "must be a drive or a force of one amplitude and frequency, without cycles"
+    raise InputError.at("excitation", f"{rule}, because only then the motion becomes steady")
+
+
 def averaged_periods(recorded: float, periods: int | None, least: int) -> int:
     """Return the number of periods, `least` or more, over which a measure averages.
 
@@ -362,15 +390,7 @@ def averaged_periods(recorded: float, periods: int | None, least: int) -> int:
 
 def _window(trajectory: Trajectory, periods: int | None) -> tuple[Drive | Force, int]:
     """Return the drive, and the number of samples over which the motion is averaged."""
-    drive = trajectory.scene.excitation
-    if (
-        not isinstance(drive, Drive | Force)
-        or drive.frequency is None
-        or drive.cycles is not None
-        or not drive.amplitude
-    ):
-        rule = "must be a drive or a force of one amplitude and frequency, without cycles"
-        raise InputError.at("excitation", f"{rule}, because only then the motion becomes steady")
+    drive = harmonic_drive(trajectory.scene.excitation)
     period = 1 / drive.frequency
     end = float(trajectory.time[-1])
     count = averaged_periods(end / period, periods, LEAST_PERIODS)

@@ -21,7 +21,7 @@ from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import contacts, force_above_rest
-from .harmonic import amplitudes, averaged_periods, transient
+from .harmonic import amplitudes, averaged_periods, harmonic_drive, transient
 from .motion import motion_of
 
 __dir__ = listed(__name__)
@@ -160,7 +160,7 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     '0.4998 of the power, 0.4998 in linear theory'
     """
     scene = trajectory.scene
-    drive = _check_drive(scene.excitation)
+    drive = harmonic_drive(scene.excitation)
     period = 1 / drive.frequency
     number = int(whole_numbers(contact, "contact"))
     chain = scene.chain
@@ -196,14 +196,6 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
         linear_input=linear_input,
         _begin=float(time[-1] - count * period),
     )
-
-
-def _check_drive(drive: object) -> Drive | Force:
-    """Return a drive or force of one frequency; raise `InputError` if it is anything else."""
-    if isinstance(drive, Drive | Force) and drive.frequency is not None and drive.cycles is None:
-        return drive
-    rule = "must be a drive or a force of one amplitude and frequency, without cycles"
-    raise InputError.at("excitation", f"{rule}, because only then the motion becomes steady")
 
 
 def _mean(

@@ -11,7 +11,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..theory.bands import Cell, branches, local_bands, repeating
 from ..trajectory.trajectory import UNITS_OF_FIELDS, Trajectory
-from ..util.arrays import Array, as_slice
+from ..util.arrays import Array, as_slice, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, draw_map, legend
@@ -297,12 +297,13 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
             "without gravity and load no weak wave travels, so its travel time is undefined",
         )
     chain.refuse_loose("the time of travel of a weak wave")
-    if not 1 <= source <= chain.grains:
+    number = int(whole_numbers(source, "source"))
+    if not 1 <= number <= chain.grains:
         raise InputError.at("source", f"grains are numbered 1 to {chain.grains} (got {source})")
     delay = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
     time = np.concatenate(([0.0], np.cumsum(delay)))
-    surface = delay[:1].sum() / 2 if source == 1 and chain.top == "free" else 0.0
-    return np.abs(time - time[source - 1]) + surface
+    surface = delay[:1].sum() / 2 if number == 1 and chain.top == "free" else 0.0
+    return np.abs(time - time[number - 1]) + surface
 
 
 def space_time(

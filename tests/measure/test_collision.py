@@ -190,5 +190,9 @@ def test_waves_that_do_not_meet_are_rejected() -> None:
         (near, 2, "excitation: the waves overlap at the start"),
     ):
         scene = Scene(chain=chain, excitation=excitation, duration=steps * unit, samples=401)
+        t = simulate(scene, "native", 1e-6)
         with pytest.raises(InputError, match=words):
-            collision.find(simulate(scene, "native", 1e-6))
+            collision.find(t)
+    for start in (-1e-9, 1.0, np.nan):
+        with pytest.raises(InputError, match="start: must be 0 to"):
+            collision.find(t, start)

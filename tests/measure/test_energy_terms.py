@@ -235,6 +235,9 @@ def test_the_virial_ratio_of_a_part_of_the_time():
         exact = 0.5 + (np.sin(2 * last) - np.sin(2 * start)) / 4 / (last - start)
         assert swinging().virial_ratio(start, end) == pytest.approx(exact, rel=1e-9)
     assert np.isnan(swinging(total=np.zeros(2001)).virial_ratio())
+    for ends in ((0.0, 10.1), (-0.1, 1.0), (3.0, 2.0), (np.nan, 1.0)):
+        with pytest.raises(InputError, match=r"end: must be after start, both within 0 to 10 s"):
+            swinging().virial_ratio(*ends)
 
 
 def test_the_lines_of_the_picture():

@@ -358,6 +358,9 @@ def test_fronts_without_a_power_law_are_rejected():
         (lambda t: track(t, "energy"), "field"),
         (lambda t: track(made_up(lambda t, n: gauss(t, 10 + n), samples=15)), "samples"),
         (lambda t: exponent(power_law(), "grain"), "quantity"),
+        (lambda t: exponent(power_law(), window=3.5), "window"),
+        (lambda t: track(t, fraction=0.0), "fraction"),
+        (lambda t: track(t, fraction=1.1), "fraction"),
         (lambda t: power_law().between(10, 10).speed, "grains"),
     ],
 )

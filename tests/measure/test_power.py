@@ -142,9 +142,11 @@ def test_unsteady_runs_are_rejected() -> None:
     short = t.scene.replace(samples=201)
     with pytest.raises(InputError, match="samples: must be 1201"):
         power.through(simulate(short, "native", 1e-3), 100)
-    struck = short.replace(excitation=Impulse(velocity=1e-6))
-    with pytest.raises(InputError, match="excitation: must be a drive"):
-        power.through(simulate(struck, "native", 1e-3), 100)
+    push = short.excitation
+    for other in (Impulse(velocity=1e-6), push.replace(amplitude=0.0), push.replace(cycles=3)):
+        t = simulate(short.replace(excitation=other), "native", 1e-3)
+        with pytest.raises(InputError, match="excitation: must be a drive"):
+            power.through(t, 100)
 
 
 def test_viscous_contacts_absorb_their_part_of_the_power() -> None:

@@ -178,6 +178,9 @@ def test_the_error_of_an_arrival():
         peak = arrival(longer, sharp + height * np.exp(-((longer - 6.01) ** 2)))
         assert peak.error == pytest.approx(3.98, abs=0.05)
         assert abs(peak.time - 2.03) <= peak.error
+    for values in (np.full(41, np.nan), np.zeros(40)):
+        with pytest.raises(InputError, match="values: must be finite numbers, one for each time"):
+            arrival(time, values)
     for values, words in (
         (np.arange(41.0), "the signal is largest in the last sample: record for longer"),
         (-np.arange(41.0), "the signal is largest in the first sample: it has no later maximum"),

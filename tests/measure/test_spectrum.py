@@ -181,6 +181,7 @@ def test_travel_time_in_a_column():
         (lambda t: spectrum(t, window="house"), "window"),
         (lambda t: space_time(ringing(gravity=0.0), law=True), "chain"),
         (lambda t: travel_time(t.scene.chain, 0), "source"),
+        (lambda t: travel_time(t.scene.chain, 2.5), "source"),
         (lambda t: dispersion(t, 1, 7), "last"),
         (lambda t: dispersion(t, 9, 2), "last"),
         (lambda t: dispersion(t, 5, 20), "grains"),
