@@ -256,6 +256,11 @@ def test_invalid_traces(given: tuple[Any, ...], key: str):
     assert fault_keys(Trace, *given) == [key]
 
 
+@pytest.mark.parametrize("grains", [[], [0], [3, 41], [2.5]])
+def test_a_trace_needs_recorded_grains(grains: list[Any], uniform: Trajectory):
+    assert fault_keys(Trace.of, uniform, grains) == ["grain"]
+
+
 def dropped() -> Scene:
     chain = column(8, contact_constants=np.full(7, 1e9))
     return scene_of(chain, Displacement(displacement=1e-9), 1e-5)

@@ -148,11 +148,11 @@ def test_a_given_window_is_used():
     assert fit.grain.size == 7 * (t.time <= end).sum()
     assert np.unique(fit_bessel(t, grains=(5, 40), until=end).grain)[0] == 5
     assert np.unique(fit_bessel(t, grains=(1, 5), until=end).grain)[-1] == 5
-    for grains in ((6, 9), (1, 4), (0, 9), (3, 41)):
+    for grains in ((6, 9), (1, 4), (0, 9), (3, 41), (3, 5, 9)):
         with pytest.raises(
             InputError, match=r"grains: must be .first, last. with 1 <= first <= 5 <= last"
         ):
-            fit_bessel(t, grains=grains)
+            fit_bessel(t, grains=grains)  # type: ignore[arg-type]
     alone = column(1, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
     with pytest.raises(InputError, match="grains: must be two or more"):
         fit_bessel(linear_run(alone, Impulse(velocity=1e-9)))

@@ -84,10 +84,19 @@ class Trace(Shown):
     def of(
         cls, trajectory: Trajectory, grains: Sequence[int] | None = None, field: Field = "velocity"
     ) -> Trace:
-        """Return the trace of grains of a trajectory; by default of all recorded moving grains."""
+        """Return the trace of grains of a trajectory; by default of all recorded moving grains.
+
+        Raises
+        ------
+        InputError
+            If a grain was not recorded.
+        """
         if grains is None:
             grains = [int(n) for n in trajectory.grains if n <= trajectory.scene.chain.movable]
-        return cls(trajectory.time, grains, _select(trajectory, np.array(grains), field), field)
+        chosen = np.atleast_1d(whole_numbers(grains, "grain"))
+        if not chosen.size or not np.isin(chosen, trajectory.grains).all():
+            raise InputError.at("grain", f"must be recorded grains (got {shown(grains)})")
+        return cls(trajectory.time, chosen, _select(trajectory, chosen, field), field)
 
 
 def _trace_faults(

@@ -16,7 +16,7 @@ from ...errors import InputError
 from ...scene.excitation import Displacement, Impulse
 from ...theory.modes import eigenmodes
 from ...trajectory.trajectory import UNITS_OF_FIELDS, Trajectory
-from ...util.arrays import Array
+from ...util.arrays import Array, whole_numbers
 from ...util.plotting import Axes, chart, choose_few, finish
 from ...util.tabular import Tabular
 from ..bodies import motion
@@ -420,7 +420,8 @@ def _window(
         raise InputError.at("grains", "must be two or more: a single grain has no wave")
     first, last = _uniform_part(chain, p)
     if grains is not None:
-        first, last = grains
+        ends = whole_numbers(grains, "grains").reshape(-1)
+        first, last = ends.tolist() if ends.size == 2 else (0, 0)
         if not 1 <= first <= p <= last <= chain.grains:
             raise InputError.at(
                 "grains", f"must be (first, last) with 1 <= first <= {p} <= last (got {grains})"
