@@ -166,6 +166,17 @@ def test_shifts_of_given_waves(name: str) -> None:
         assert after.get_ydata() == pytest.approx(given[[k] * len(after.get_ydata())], abs=1e-2)
         assert before.get_xdata().max() < found.time < after.get_xdata().min()
         assert shift.get_ydata()[0] == found.shift[k]
+        # The change of speed from half to half of the way continues back to the collision.
+        moment, ahead = (np.asarray(x) for x in after.get_data())
+        half = moment.size // 2
+        early, late = (
+            np.polyfit(moment[s], ahead[s], 1)[0] for s in (slice(half), slice(half, None))
+        )
+        away = moment.mean() - found.time
+        bent = abs(early - late) * max(1.0, away / np.ptp(moment)) * away
+        assert bent <= found.shift_error[k]
+        if k == 1 and not loaded:
+            assert found.shift_error[k] < 1.5 * bent
         label = f"wave {k + 1}: {found.shift[k]:.5g} ± {found.shift_error[k]:.1g} grains"
         assert shift.get_label() == label
         if loaded:

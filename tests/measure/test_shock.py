@@ -371,6 +371,7 @@ def test_a_long_recording_gives_the_same_result(case: str) -> None:
         (Drive(amplitude=1e-6, frequency=2e3, cycles=3, grain=0), "does not push steadily"),
         (Drive(amplitude=1e-6, frequency=2e3, grain=0), "does not push steadily"),
         (Force(shape="half-sine", amplitude=10.0, duration=3e-4), "does not push steadily"),
+        (Force(times=[0, 0.01], force=[0, 100], interpolation="linear"), "does not push steadily"),
         (Riemann(velocity=(0, 0), strain=(0, 0), grain=75), "sends no wave"),
         (Riemann(velocity=(0, 0), strain=(0, -2e-4), grain=75), "opens the contacts ahead"),
         (Riemann(velocity=(0.1, 0), strain=(0, 0), grain=20), "step further from its ends"),
