@@ -106,8 +106,7 @@ PAIRS = {
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * ("load" in name)) for name in PAIRS],
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * ("load" in name)) for name in PAIRS]
 )
 def test_shifts_of_given_waves(name: str) -> None:
     """Exact waves are lowered and shifted as they cross, the second one not at once."""

@@ -11,15 +11,7 @@ from helpers.example_chains import column, vacuum
 from helpers.example_scenes import run, struck
 from scipy.special import jv
 
-from lmpchain import (
-    Chain,
-    Displacement,
-    Drive,
-    Impulse,
-    Profile,
-    engines,
-    simulate,
-)
+from lmpchain import Chain, Displacement, Drive, Impulse, Profile, engines, simulate
 from lmpchain.measure.contact import contacts, drive_force
 from lmpchain.measure.energy import ledger
 from lmpchain.measure.flight import arrival

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers.example_chains import WALLED, column
-from helpers.example_scenes import scene_of, struck
+from helpers.example_scenes import scene_of
 
 from lmpchain import Drive, Force, Impulse, simulate, sweep
 from lmpchain.measure import energy
@@ -48,20 +48,6 @@ def test_energy_that_flows_into_a_part(kind: str):
     flown = np.append(0, np.cumsum((power[1:] + power[:-1]) / 2)) * (scene.duration / 3000)
     assert part - part[0] == pytest.approx(flown, rel=0, abs=3e-4 * part.max())
     assert part.max() > 0.1 * energy.ledger(t).total.max()
-
-
-def test_a_closed_form():
-    """Half of the energy of a single grain on a spring oscillates."""
-    spring = column(1, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0])
-    found = energy.shares(simulate(struck(spring, 1e-4, 1e-3, 101), "modes"))
-    whole = 2e-6 * 1e-8 / 2
-    assert found.kinetic[:, 0] == pytest.approx(
-        whole * np.cos(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole
-    )
-    assert found.elastic[:, 0] == pytest.approx(
-        whole * np.sin(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole
-    )
-    assert found.contact.tolist() == [1]
 
 
 def test_the_energy_of_grains_does_not_depend_on_other_recorded_grains(tmp_path):

@@ -42,14 +42,8 @@ GIVEN = {
         Chain(**UNEVEN, top="wall", bottom="wall"),
         Force(grain=2, amplitude=5e-4, frequency=8e4),
     ),
-    "a wall that moves": (
-        Chain(**UNEVEN, top="wall"),
-        Drive(**SMOOTH, displacement=PATH, grain=0),
-    ),
-    "grain 1 that moves": (
-        Chain(**UNEVEN, bottom="wall"),
-        Drive(**SMOOTH, displacement=PATH),
-    ),
+    "a wall that moves": (Chain(**UNEVEN, top="wall"), Drive(**SMOOTH, displacement=PATH, grain=0)),
+    "grain 1 that moves": (Chain(**UNEVEN, bottom="wall"), Drive(**SMOOTH, displacement=PATH)),
     "a base that moves": (
         Chain(**UNEVEN, bottom="wall"),
         Drive(**SMOOTH, displacement=-PATH, end="bottom"),

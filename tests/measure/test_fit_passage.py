@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from helpers.example_scenes import run
 
-from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
+from lmpchain import Chain, Drive, Force, Impulse, Trajectory
 from lmpchain.measure.fit import fit_passage
 from lmpchain.measure.fit import overview as module
 from lmpchain.measure.fit.overview import FrontPassage
@@ -22,8 +23,7 @@ EXCITATIONS = {
 
 
 def ran(name: str, samples: int) -> Trajectory:
-    scene = Scene(chain=CHAIN, excitation=EXCITATIONS[name], duration=4e-4, samples=samples)
-    return simulate(scene, "native", 1e-9)
+    return run(CHAIN, EXCITATIONS[name], 4e-4, samples, 1e-9)
 
 
 @pytest.mark.parametrize("name", EXCITATIONS)
@@ -97,8 +97,8 @@ def test_the_front_goes_its_longest_way(time: list[float], first: int, last: int
 
 
 def test_forces_of_blocks_of_contacts_equal_those_of_all(monkeypatch: pytest.MonkeyPatch):
-    run = ran("push", 401)
-    whole = fit_passage(run)
+    t = ran("push", 401)
+    whole = fit_passage(t)
     monkeypatch.setattr(module, "CONTACTS_AT_ONCE", 7)
-    again = fit_passage(run)
+    again = fit_passage(t)
     assert (again.contact, again.force) == (whole.contact, whole.force)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.changed_recordings import of_error
 from helpers.example_chains import column, vacuum
 from helpers.example_scenes import run, scene_of, struck, struck_in_units
 from helpers.faults import fault_keys
@@ -109,8 +110,9 @@ def test_the_front_is_the_first_maximum_that_is_high_enough():
 def test_grains_that_the_front_has_not_passed_are_left_out():
     # The arrival times are 0, 10, 20 and so on.
     t = made_up(lambda t, n: gauss(t, 10 * (n - 1)) + 1e-9 * np.sin(5 * t) * (n == 5))
-    t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-8))
-    assert track(t).grain.tolist() == [2], "noise below the error of the trajectory is no front"
+    assert track(of_error(t, 1e-8)).grain.tolist() == [2], (
+        "noise below the error of the trajectory is no front"
+    )
     t = made_up(lambda t, n: np.tanh(t - 10) + 1 + 0 * n)
     with pytest.raises(InputError, match="no front of the velocity passes"):
         track(t)
@@ -128,9 +130,7 @@ def test_a_front_falls_by_more_than_the_error(field: Any):
         return 2 * slope + 0 * n
 
     t = made_up(ridge)
-    known, unsure = (
-        replace(t, error_estimate=replace(t.error_estimate, solver=error)) for error in (5e-4, 2e-3)
-    )
+    known, unsure = (of_error(t, error) for error in (5e-4, 2e-3))
     assert track(known, field).grain.tolist() == [1, 2, 3, 4, 5]
     with pytest.raises(InputError, match=f"no front of the {field} passes"):
         track(unsure, field)
@@ -394,16 +394,6 @@ def test_a_displacement_that_turns_just_before_a_flight() -> None:
     assert same.grain.tolist() == front.grain.tolist() == list(range(6, 21))
     assert (np.abs(front.amplitude - same.amplitude) <= front.amplitude_error).all()
     assert (np.abs(front.time - same.time) <= front.time_error).all()
-
-
-def test_grains_at_rest_are_skipped():
-    """A long chain at rest behind the wave does not change the front."""
-    short, long = (
-        track(run(column(grains, gravity=0.0, top_load=1.0), Impulse(velocity=1e-6), 30e-6, 301))
-        for grains in (60, 6000)
-    )
-    assert short.grain.tolist() == long.grain.tolist()
-    assert short.time == pytest.approx(long.time, rel=1e-8)
 
 
 def test_an_unresolved_front_reports_the_number_of_resolved_grains():

@@ -127,10 +127,7 @@ def test_errors_include_the_error_of_the_trajectory() -> None:
     """An error e of all displacements changes cos k by (4/pi) e (1 + |cos k|) / a at most."""
     t = long_run(1.5, 0.02)
     chain = t.scene.chain
-    known, unsure = (
-        harmonic.wave(replace(t, error_estimate=replace(t.error_estimate, solver=error)))
-        for error in (0.0, 1e-3)
-    )
+    known, unsure = (harmonic.wave(of_error(t, error)) for error in (0.0, 1e-3))
     off = 4 / np.pi * 1e-3 * np.abs(t.displacement).max()
     change = off * (1 + np.cos(known.phase)) / np.abs(unsure.amplitude).mean()
     for name in ("phase", "decay"):

@@ -23,13 +23,7 @@ from lmpchain.measure import (
     spectrum,
     wavenumbers,
 )
-from lmpchain.measure.fit import (
-    fit_bessel,
-    fit_continuum,
-    fit_exponents,
-    fit_modes,
-    fit_soliton,
-)
+from lmpchain.measure.fit import fit_bessel, fit_continuum, fit_exponents, fit_modes, fit_soliton
 
 COLUMN_LAWS = [fit_continuum, fit_exponents]
 LONG_WAVES = [lambda t: dyson.sums(t, [1.0]), lambda t: spectrum.travel_time(t.scene.chain)]

@@ -23,8 +23,7 @@ def rarefaction(exponent: float, grain: int, share: float) -> Trajectory:
 
 
 @pytest.mark.parametrize(
-    ("exponent", "share"),
-    thinned([(1.5, 0.3), (1.3, 0.5), (2.5, 0.4), (1.5, 0.8), (2.0, 0.6)], 3),
+    ("exponent", "share"), thinned([(1.5, 0.3), (1.3, 0.5), (2.5, 0.4), (1.5, 0.8), (2.0, 0.6)], 3)
 )
 def test_a_rarefaction_approaches_the_simple_wave(exponent: float, share: float) -> None:
     """Within the fan the overlap scales as (x / c t)^(2 / (delta - 1)); errors cover the rest."""

@@ -10,16 +10,7 @@ import pytest
 from helpers.changed_recordings import until
 from helpers.example_scenes import run
 
-from lmpchain import (
-    Chain,
-    Damping,
-    Drive,
-    Force,
-    Impulse,
-    InputError,
-    Riemann,
-    Trajectory,
-)
+from lmpchain import Chain, Damping, Drive, Force, Impulse, InputError, Riemann, Trajectory
 from lmpchain.measure import shock
 from lmpchain.theory.shock import Medium, State
 
@@ -87,9 +78,7 @@ def test_results_do_not_depend_on_the_frame(velocity: float, viscosity: float) -
     t = piston(velocity, viscosity=viscosity)
     drift = 2 * OVERLAP * SOUND
     moved = replace(
-        t,
-        velocity=t.velocity + drift,
-        displacement=t.displacement + drift * t.time[:, None],
+        t, velocity=t.velocity + drift, displacement=t.displacement + drift * t.time[:, None]
     )
     still, found = measured(velocity, viscosity), shock.find(moved)
     for one, other in ((still.ahead, found.ahead), (still.behind, found.behind)):
@@ -305,8 +294,7 @@ def long_run(
 
 
 @pytest.mark.parametrize(
-    ("step", "direction"),
-    [(None, "down"), (-0.118, "down"), (-0.118, "up"), (-0.2, "down")],
+    ("step", "direction"), [(None, "down"), (-0.118, "down"), (-0.118, "up"), (-0.2, "down")]
 )
 def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> None:
     """The trailing edge stays at the step, and grains fly at -4/5 c o.

@@ -158,9 +158,7 @@ def test_a_given_window_is_used():
         fit_bessel(linear_run(alone, Impulse(velocity=1e-9)))
 
 
-def test_a_subset_of_too_many_values_is_fitted(
-    monkeypatch: pytest.MonkeyPatch,
-):
+def test_a_subset_of_too_many_values_is_fitted(monkeypatch: pytest.MonkeyPatch):
     """With a limit of 300 values, every fifth of the 49 reached grains is used."""
     monkeypatch.setattr(waves, "REGION", waves.REGION._replace(most=300))
     chain = column(120, gravity=0.0, top_load=0.1)
