@@ -75,6 +75,10 @@ STIFF = 1e10 * math.sqrt(0.0025)  # Contact constant, N/m^1.5.
 WALL_STIFF = 1e10 * math.sqrt(0.005)
 WEIGHT = 9.81 * MASS
 GRAVITY = "fix 9 all gravity 9.81 vector 1 0 0"
+LET_GO = "group t id 3\nfix 7 t nve"
+ANY_PAIR = next(line for line in START.splitlines() if line.startswith("pair_coeff"))
+SECOND = "set atom 2 type 2\npair_coeff 2 2"
+UNLIKE = "has another contact model than the other types: add a pair_coeff"
 
 
 def squeezed(force: float, constant: float) -> float:
@@ -115,7 +119,7 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
         [0.0, 1.5, 1.5, 0.0],
     ),
     "gravity and a load": (
-        "group t id 1\nfix 7 t addforce 1 0 0\nfix 9 all gravity 9.81 vector 1 0 0",
+        f"group t id 1\nfix 7 t addforce 1 0 0\n{GRAVITY}",
         {"load": "1 N on grain 1 (line 17)"},
         [0.0, 1 + WEIGHT, 1 + 2 * WEIGHT, 0.0],
     ),
@@ -130,12 +134,12 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
         [(1.02e-5 / (2 / STIFF ** (2 / 3) + 1 / WALL_STIFF ** (2 / 3))) ** 1.5] * 3 + [0.0],
     ),
     "gravity between walls": (
-        f"group t id 3\nfix 7 t nve\n{GRAVITY}\n{WALL} -0.00499 0.02499",
+        f"{LET_GO}\n{GRAVITY}\n{WALL} -0.00499 0.02499",
         {"load": f"{PRESSED:.9g} N (from the distance of the ends, which do not move)"},
         [PRESSED + n * WEIGHT for n in range(4)],
     ),
     "a floor": (
-        f"group t id 3\nfix 7 t nve\nfix 9 all gravity 9.81 vector 1 0 0\n{WALL} NULL 0.02499",
+        f"{LET_GO}\n{GRAVITY}\n{WALL} NULL 0.02499",
         {"top": "free", "bottom": "a wall, 7.07107e+08 N/m^delta (line 19)"},
         [0.0, WEIGHT, 2 * WEIGHT, 3 * WEIGHT],
     ),
@@ -294,272 +298,191 @@ def test_a_held_top_grain_has_no_displacement(tmp_path: Path, rng: np.random.Gen
         assert np.diff(u) == pytest.approx(np.diff(row) - 0.01 + rest, rel=0, abs=1e-16)
 
 
-# A line that replaces another one (or is added before the run), and a part of the message.
-REFUSED = {
-    "cohesion": ("pair_coeff", "pair_coeff * * jkr 1e10 0 0.3 0.1", "has cohesion (jkr)"),
-    "dmt": ("pair_coeff", "pair_coeff * * dmt 1e10 0 0.3 0.1", "has cohesion (dmt)"),
-    "no such model": ("pair_coeff", "pair_coeff * * hurtz 1e10 0", "has no known contact model"),
-    "no coefficient": ("pair_coeff", "pair_coeff 2 2 hertz 1e10 0", "no pair_coeff for types 1"),
-    "an unknown keyword": ("pair_coeff", "pair_coeff * * hertz 1e10 0 sticky 3", "has sticky"),
-    "a cutoff": ("pair_coeff", "pair_coeff * * hertz 1e10 0 cutoff 1", "has cutoff"),
-    "too short": ("pair_coeff", "pair_coeff * * hertz 1e10", "is too short"),
-    "no model": ("pair_coeff", "pair_coeff * *", "is too short: a contact model is missing"),
-    "heat": ("pair_coeff", "pair_coeff * * hertz 1e10 0 heat area 3", "has heat, which a scene"),
-    "a limit": ("pair_coeff", "pair_coeff * * hertz 1e10 1 limit_damping", "has limit_damping"),
-    "an old limit": (
-        "pair_style",
-        "pair_style gran/hooke 1e5 NULL 3 NULL 0 0 limit_damping",
-        "has limit_damp",
+OLD_WALL = "fix 9 all wall/gran hertz/history 1e9 NULL 0 NULL 0 0"
+REFUSED = {  # Lines that are added before the run, and a part of the message.
+    "pair_style gran/hooke 1e5 NULL 3 NULL 0 0 limit_damping": "has limit_damp",
+    "pair_style gran/hooke 0 NULL 0 NULL 0 0": "above 0 (got 0)",
+    "pair_style gran/hooke 1e5 NULL 0 NULL 0 0 limit_damping 3": "has 3, which",
+    "pair_style lj/cut 2.5": "is not a supported pair style",
+    "pair_style gran/hertz 1 0 0 0 0 0": "use granular, gran/",
+    "pair_modify shift yes": "is not understood, and could change the motion",
+    "fix 9 all langevin 1 1 1 3": "is a fix that is not understood, and could",
+    "fix 9 all move linear 0 0 1": '[excitation] kind = "drive"',
+    'fix 9 all wall/lepton zlo 0 "r" 1': "use fix wall/gran with xplane",
+    f"{OLD_WALL} zcylinder 0.005": "must end in xplane, yplane or zplane",
+    f"{OLD_WALL} zplane -0.0049 NULL": "touches the column from the side",
+    f"{OLD_WALL} xplane -1 NULL wiggle x 1 1": "must end in xplane, yplane or zplane and two posi",
+    OLD_WALL.replace("hertz/history", "hooke") + " xplane -0.005 NULL": (
+        "has hooke contacts, but the grains have hertz contacts"
     ),
-    "a rolling model": (
-        "pair_coeff",
-        "pair_coeff * * hertz 1e10 0 rolling linear_history",
-        "has rolling linear_",
-    ),
-    "no tangential model": ("pair_coeff", "pair_coeff * * hertz 1e10 0 tangential", "tangential ,"),
-    "a short model": (
-        "pair_coeff",
-        "pair_coeff * * hertz 1e10 0 tangential mindlin NULL 0",
-        "is too short",
-    ),
-    "an old soft one": ("pair_style", "pair_style gran/hooke 0 NULL 0 NULL 0 0", "above 0 (got 0)"),
-    "a ratio": ("pair_coeff", "pair_coeff * * hertz/material 1e9 0 0.6", "of at most 0.5 (got 0.6"),
-    "a ratio of -1": ("pair_coeff", "pair_coeff * * hertz/material 1e9 0 -1", "0.5 (got -1)"),
-    "unlike models": (
-        "pair_coeff",
-        "pair_coeff 1 1 hertz 1e10 0\npair_coeff 2 2 hooke 1e5 0\nset atom 2 type 2",
-        "has another contact model than the other types: add a pair_coeff",
-    ),
-    "unlike coefficients": (
-        "pair_coeff",
-        "pair_coeff 1 1 hertz 1e10 0\npair_coeff 2 2 hertz/material 1e9 0 0.3\nset atom 2 type 2",
-        "has another contact model than the other types: add a pair_coeff",
-    ),
-    "two laws": (
-        "pair_coeff",
-        "pair_coeff 1 1 hertz 1e10 0\npair_coeff 1 2 hooke 1e5 0\nset atom 3 type 2",
-        "has both hertz and hooke contacts",
-    ),
-    "one of two types": (
-        "pair_coeff",
-        "pair_coeff 2 2 hertz 1e10 0\nset atom 2 type 2",
-        "has no pair_coeff for types 1 and 2",
-    ),
-    "an old style with more": (
-        "pair_style",
-        "pair_style gran/hooke 1e5 NULL 0 NULL 0 0 limit_damping 3",
-        "has 3, which",
-    ),
-    "soft": ("pair_coeff", "pair_coeff * * hertz -1 0", "stiffness above 0 (got -1)"),
-    "velocity damping": (
-        "pair_coeff",
-        "pair_coeff * * hertz 1e10 2 tangential linear_nohistory 0 0 damping velocity",
-        "has an unsupported damping velocity",
-    ),
-    # The coefficient is that of restitution; at 1, the polynomial of tsuji still dissipates.
-    **{
-        f"{damping} {restitution}": (
-            "pair_coeff",
-            f"pair_coeff * * hertz 1e10 {restitution} tangential linear_nohistory 0 0 "
-            f"damping {damping}",
-            f"has an unsupported damping {damping}",
-        )
-        for damping, restitution in (
-            *(("tsuji", 0.9), ("tsuji", 0), ("tsuji", 1)),
-            *(("coeff_restitution", 0), ("coeff_restitution", 0.9)),
-        )
-    },
-    "another pair style": ("pair_style", "pair_style lj/cut 2.5", "is not a supported pair style"),
-    "a misspelt style": ("pair_style", "pair_style gran/hertz 1 0 0 0 0 0", "use granular, gran/"),
-    "pair_modify": ("", "pair_modify shift yes", "is not understood, and could change the motion"),
-    "a fix": ("", "fix 9 all langevin 1 1 1 3", "is a fix that is not understood, and could"),
-    "a fix of a drive": ("", "fix 9 all move linear 0 0 1", '[excitation] kind = "drive"'),
-    "a lepton wall": ("", 'fix 9 all wall/lepton zlo 0 "r" 1', "use fix wall/gran with xplane"),
-    "a tube": (
-        "",
-        "fix 9 all wall/gran hertz/history 1e9 NULL 0 NULL 0 0 zcylinder 0.005",
-        "must end in xplane, yplane or zplane",
-    ),
-    "a wall at the side": (
-        "",
-        "fix 9 all wall/gran hertz/history 1e9 NULL 0 NULL 0 0 zplane -0.0049 NULL",
-        "touches the column from the side",
-    ),
-    "a shaking wall": (
-        "",
-        "fix 9 all wall/gran hertz/history 1e9 NULL 0 NULL 0 0 xplane -1 NULL wiggle x 1 1",
-        "must end in xplane, yplane or zplane and two positions",
-    ),
-    "hooke with hertz": (
-        "",
-        "fix 9 all wall/gran hooke 1e9 NULL 0 NULL 0 0 xplane -0.005 NULL",
-        "has hooke contacts, but the grains have hertz contacts",
-    ),
-    "two walls": ("", f"{WALL} -0.005 NULL\nfix 9 {WALL[6:]} -0.0049 NULL", "is a second wall"),
-    "a wall nearby": ("", f"{WALL} -0.00549 NULL", "m shorter than the space between its ends"),
-    "a wall that damps": (
-        "",
-        "fix 9 all wall/gran hertz/history 1e10 NULL 3 NULL 0 0 xplane -0.005 NULL",
-        # The time is 3 m / (1.5 k).
+    f"{WALL} -0.005 NULL\nfix 9 {WALL[6:]} -0.0049 NULL": "is a second wall",
+    f"{WALL} -0.00549 NULL": "m shorter than the space between its ends",
+    # The relaxation time is 3 m / (1.5 k).
+    "fix 9 all wall/gran hertz/history 1e10 NULL 3 NULL 0 0 xplane -0.005 NULL": (
         "has the relaxation time 8.16814e-13 s: use the relaxation time of the contact beside it, "
-        "0 s",
+        "0 s"
     ),
-    "a gap between stops": (
-        "",
-        f"{HELD_TOP}\nset atom 3 x 0.0201",
-        "its column is 0.0001 m shorter than the space between its ends",
+    f"{HELD_TOP}\nset atom 3 x 0.0201": "its column is 0.0001 m shorter than the space between its",
+    f"{LET_GO}\n{GRAVITY}": "has no wall and no held grain at its bottom: it would fall",
+    f"{LET_GO}\n{GRAVITY}\n{WALL} -0.00499 NULL": "has no wall and no held grain at its bottom: it",
+    "fix 9 all gravity 9.81 vector -1 0 0": "no held grain at its bottom: it would fall",
+    "fix 9 all gravity 9.81 vector 0 0 0": "must be along the column, x",
+    "fix 9 all gravity 9.81 vector 1 0": "must be `gravity` with a magnitude and vector",
+    "fix 9 all gravity 9.81 vector 0 0 -1": "must be along the column, x",
+    "group two id 2\nfix 9 two gravity 9.81 vector 1 0 0": "must act on",
+    "fix 9 all gravity 9.81 chute 20": "with a magnitude and vector x y z",
+    "group t id 1\nfix 9 t addforce -1 0 0": "pulls grain 1 out of the column",
+    "group t id 2\nfix 9 t addforce 1 0 0": "must press grain 1 alone",
+    "group t id 1\nfix 9 t addforce 1 1 0": "must press grain 1 alone",
+    "group t id 1\nfix 9 t addforce 1 0 0 every 2": "has options that are not read: give three",
+    f"group t id 1\nfix 9 t addforce 1 0 0\n{WALL} -0.005 NULL": (
+        "(fix 9 t addforce 1 0 0) presses grain 1, which touches a wall"
     ),
-    "no bottom": (
-        "",
-        "group t id 3\nfix 7 t nve\nfix 9 all gravity 9.81 vector 1 0 0",
-        "has no wall and no held grain at its bottom: it would fall",
+    "group t id 1\nfix 9 t addforce 1e9 0 0": "not define a valid",
+    "group t id 1\nfix 9 t addforce v_f 0 0": "the variable f, whose",
+    "fix 9 all setforce 1 0 0": "sets a force other than 0",
+    "fix 9 all setforce 0 0 0 region box": "has options that are not read: give three numbers",
+    "fix 9 all viscous 1 scale 1 2": "has options that are not read: give one number",
+    "set atom * x 0.0": "has all grains at one place",
+    "group t id 2\nfix 8 t setforce 0 0 0": "atom 2 is held within",
+    "fix 1 beads freeze": "has no fix nve or nve/sphere",
+    "fix 9 all nve": "moves grains that another fix moves",
+    f"group t id 2\nfix 8 t setforce 0 0 0\n{GRAVITY}": (
+        "acts on grains after the setforce of line 17 stopped them, so that they move"
     ),
-    "no bottom below a wall": (
-        "",
-        f"group t id 3\nfix 7 t nve\nfix 9 all gravity 9.81 vector 1 0 0\n{WALL} -0.00499 NULL",
-        "has no wall and no held grain at its bottom: it would fall",
-    ),
-    "hanging grains": (
-        "",
-        "fix 9 all gravity 9.81 vector -1 0 0",
-        "no held grain at its bottom: it would fall",
-    ),
-    "gravity without direction": (
-        "",
-        "fix 9 all gravity 9.81 vector 0 0 0",
-        "must be along the column, x",
-    ),
-    "gravity in a plane": (
-        "",
-        "fix 9 all gravity 9.81 vector 1 0",
-        "must be `gravity` with a magnitude and vector",
-    ),
-    "gravity aside": ("", "fix 9 all gravity 9.81 vector 0 0 -1", "must be along the column, x"),
-    "gravity of some": ("", "group two id 2\nfix 9 two gravity 9.81 vector 1 0 0", "must act on"),
-    "chute": ("", "fix 9 all gravity 9.81 chute 20", "with a magnitude and vector x y z"),
-    "a pull": ("", "group t id 1\nfix 9 t addforce -1 0 0", "pulls grain 1 out of the column"),
-    "a force below": ("", "group t id 2\nfix 9 t addforce 1 0 0", "must press grain 1 alone"),
-    "a force aside": ("", "group t id 1\nfix 9 t addforce 1 1 0", "must press grain 1 alone"),
-    "a force with a period": (
-        "",
-        "group t id 1\nfix 9 t addforce 1 0 0 every 2",
-        "has options that are not read: give three numbers",
-    ),
-    "a force beside a wall": (
-        "",
-        f"group t id 1\nfix 9 t addforce 1 0 0\n{WALL} -0.005 NULL",
-        "(fix 9 t addforce 1 0 0) presses grain 1, which touches a wall",
-    ),
-    "a load that crushes": ("", "group t id 1\nfix 9 t addforce 1e9 0 0", "not define a valid"),
-    "a force in time": ("", "group t id 1\nfix 9 t addforce v_f 0 0", "the variable f, whose"),
-    "setforce": ("", "fix 9 all setforce 1 0 0", "sets a force other than 0"),
-    "a stop with options": (
-        "",
-        "fix 9 all setforce 0 0 0 region box",
-        "has options that are not read: give three numbers",
-    ),
-    "a drag with options": (
-        "",
-        "fix 9 all viscous 1 scale 1 2",
-        "has options that are not read: give one number",
-    ),
-    "one place": ("", "set atom * x 0.0", "has all grains at one place"),
-    "an inner stop": ("", "group t id 2\nfix 8 t setforce 0 0 0", "atom 2 is held within"),
-    "nothing moves": ("fix 1", "fix 1 beads freeze", "has no fix nve or nve/sphere"),
-    "moved twice": ("", "fix 9 all nve", "moves grains that another fix moves"),
-    "a force behind a stop": (
-        "",
-        "group t id 2\nfix 8 t setforce 0 0 0\nfix 9 all gravity 9.81 vector 1 0 0",
-        "acts on grains after the setforce of line 17 stopped them, so that they move",
-    ),
-    "an inner grain": ("group", "group beads id 1 3", "atom 2 is held within the column"),
-    "an unknown group": ("fix 1", "fix 1 bears nve", "uses the group bears, which is not def"),
-    "a group by region": ("group", "group beads region box", "uses the group beads, which is not"),
-    "a second row": ("", "create_atoms 1 single 0 0.005 0", "is 0.005 m beside the line"),
-    "a random row": ("", "create_atoms 1 random 20 1 NULL", "places grains that are not read"),
-    "a grain outside": ("", "create_atoms 1 single 3 0 0", "is outside of the box"),
-    "sideways": ("", "set atom 2 vz 0.01", "atom 2 moves sideways at 0.01 m/s"),
-    "a rotation": ("", "set atom 2 omega 1", "sets omega, which is not read"),
-    "a random velocity": ("", "velocity all create 300 1", "gives velocities that are not read"),
-    "a held grain moves": ("", "set atom 3 vx 1.0", "atom 3 is held but has a velocity"),
-    "minimize": ("", "minimize 0 0 10 10", "is not understood"),
-    "excluded pairs": ("", "neigh_modify exclude type 1 1", "removes forces between pairs"),
-    "another partition": ("", "partition yes 1 run 3", "is not understood"),
-    "include": ("", "include other.in", "is not understood"),
-    "a loop": ("", "label again", "is a loop or a condition, which is not executed"),
-    "a jump": ("", "jump SELF again", "is a loop or a condition"),
-    "rerun": ("", "rerun own.lammpstrj", "is not understood"),
-    "units real": ("units", "units real", "is not a style for grains"),
-    "units lj": ("units", "units lj", "has no scale: add --units LENGTH,TIME,MASS"),
-    "no units": ("units", "", "has no command units, so LAMMPS uses lj"),
-    "a lattice": ("", "lattice sc 0.01", "scales positions"),
-    "a scale": ("", "lattice none 2.0", "scales positions"),
-    "a dimension": ("", "dimension 1", "must be 2 or 3"),
-    "two boundaries": ("", "boundary f f", "must have three words, such as boundary f f f"),
-    "a run with more": ("run", "run 100 every 10 NULL", "has options that are not understood"),
-    "an edge": ("", "create_atoms 1 single 0.2 0 0", "is outside of the box"),
-    "a turned grain": ("", "create_atoms 1 single 0.1 0 0 rotate 1", "has options that are not"),
-    "more data": ("", "read_data a.data add append", "has options that are not read"),
-    "a molecule": ("", "set mol 1 vx 0", "chooses grains by mol: use atom, type or group"),
-    "half an option": ("", "velocity all set 0 0 0 sum", "has options that are not read"),
-    "a temperature": ("", "velocity all set 0 0 0 temp t", "has options that are not read"),
-    "no velocities": ("", "velocity all set 0 0", "gives velocities that are not read: use set"),
-    "an empty group": ("", "group g id", "is too short"),
-    "a long range": ("", "set atom 1:2:1:1 vx 0", "has a range that is not understood, '1:2:1:1'"),
-    "a starred range": ("", "set atom 1*2*3 vx 0", "has a range that is not understood, '1*2*3'"),
-    "no fix": ("", "fix 9 all", "is too short"),
-    "an atom style": ("atom_style", "atom_style ellipsoid", "must be sphere, bond"),
-    "an open variable": ("", "timestep ${dt}", "uses the variable dt, whose value is not known"),
-    "a random variable": (
-        "",
-        "variable a equal random(0,1,3)\nset atom 1 vx ${a}",
-        "whose value is not known without LAMMPS",
-    ),
-    "a deleted variable": (
-        "",
-        "variable a equal 1\nvariable a delete\ntimestep $a",
-        "uses the variable a, whose value is not known",
-    ),
-    "a loop variable": ("", "variable a loop 3\ntimestep $a", "uses the variable a, whose value"),
-    "a circle": ("", "variable a equal v_b\nvariable b equal v_a\ntimestep $a", "depend on each"),
-    "another power": ("", "variable a equal -2^2\ntimestep $a", "in an unusual order"),
-    "a logarithm": ("", "variable a equal log(10)\ntimestep $a", "has the base 10"),
-    "a bracket": ("", "timestep $(1e-7", "has a bracket that is not closed"),
-    "a word": ("timestep", "timestep fast", "has 'fast' in place of a number"),
-    "no step": ("timestep", "timestep 0", "must be a time above 0"),
-    "a number of steps": ("run", "run 1e3", "has '1e3' in place of a whole number"),
-    "a missing data file": ("", "read_data no.data", "there is no such file"),
-    "bonds": ("", "bond_style fene", "is not a supported bond style"),
-    "ends that touch": (
-        "region",
-        "region box block -0.005 0.0249 -0.01 0.01 -0.01 0.01",
-        "has end grains that touch through the periodic boundary x",
-    ),
-    "a periodic column": (
-        "boundary",
-        "boundary p f f\nregion box sphere 0 0 0 1",
+    "fix 1 bears nve": "uses the group bears, which is not def",
+    "group beads region box": "uses the group beads, which is not",
+    "create_atoms 1 single 0 0.005 0": "is 0.005 m beside the line",
+    "create_atoms 1 random 20 1 NULL": "places grains that are not read",
+    "create_atoms 1 single 3 0 0": "is outside of the box",
+    "set atom 2 vz 0.01": "atom 2 moves sideways at 0.01 m/s",
+    "set atom 2 omega 1": "sets omega, which is not read",
+    "velocity all create 300 1": "gives velocities that are not read",
+    "set atom 3 vx 1.0": "atom 3 is held but has a velocity",
+    "minimize 0 0 10 10": "is not understood",
+    "neigh_modify exclude type 1 1": "removes forces between pairs",
+    "partition yes 1 run 3": "is not understood",
+    "include other.in": "is not understood",
+    "label again": "is a loop or a condition, which is not executed",
+    "jump SELF again": "is a loop or a condition",
+    "rerun own.lammpstrj": "is not understood",
+    "units real": "is not a style for grains",
+    "units lj": "has no scale: add --units LENGTH,TIME,MASS",
+    "lattice sc 0.01": "scales positions",
+    "lattice none 2.0": "scales positions",
+    "dimension 1": "must be 2 or 3",
+    "boundary f f": "must have three words, such as boundary f f f",
+    "run 100 every 10 NULL": "has options that are not understood",
+    "create_atoms 1 single 0.2 0 0": "is outside of the box",
+    "create_atoms 1 single 0.1 0 0 rotate 1": "has options that are not",
+    "read_data a.data add append": "has options that are not read",
+    "set mol 1 vx 0": "chooses grains by mol: use atom, type or group",
+    "velocity all set 0 0 0 sum": "has options that are not read",
+    "velocity all set 0 0 0 temp t": "has options that are not read",
+    "velocity all set 0 0": "gives velocities that are not read: use set",
+    "group g id": "is too short",
+    "set atom 1:2:1:1 vx 0": "has a range that is not understood, '1:2:1:1'",
+    "set atom 1*2*3 vx 0": "has a range that is not understood, '1*2*3'",
+    "fix 9 all": "is too short",
+    "atom_style ellipsoid": "must be sphere, bond",
+    "timestep ${dt}": "uses the variable dt, whose value is not known",
+    "variable a equal random(0,1,3)\nset atom 1 vx ${a}": "whose value is not known without LAMMPS",
+    "variable a equal 1\nvariable a delete\ntimestep $a": "uses the variable a, whose value is not",
+    "variable a loop 3\ntimestep $a": "uses the variable a, whose value",
+    "variable a equal v_b\nvariable b equal v_a\ntimestep $a": "depend on each",
+    "variable a equal -2^2\ntimestep $a": "in an unusual order",
+    "variable a equal log(10)\ntimestep $a": "has the base 10",
+    "timestep $(1e-7": "has a bracket that is not closed",
+    "timestep fast": "has 'fast' in place of a number",
+    "timestep 0": "must be a time above 0",
+    "run 1e3": "has '1e3' in place of a whole number",
+    "read_data no.data": "there is no such file",
+    "bond_style fene": "is not a supported bond style",
+}
+MODELS = {  # Words after pair_coeff, and a part of the message.
+    "1 1 hertz 1e10 0\npair_coeff 1 2 hooke 1e5 0\nset atom 3 type 2": "has both hertz and hooke",
+    "* * jkr 1e10 0 0.3 0.1": "has cohesion (jkr)",
+    "* * dmt 1e10 0 0.3 0.1": "has cohesion (dmt)",
+    "* * hurtz 1e10 0": "has no known contact model",
+    "* * hertz 1e10 0 sticky 3": "has sticky",
+    "* * hertz 1e10 0 cutoff 1": "has cutoff",
+    "* * hertz 1e10": "is too short",
+    "* *": "is too short: a contact model is missing",
+    "* * hertz 1e10 0 heat area 3": "has heat, which a scene",
+    "* * hertz 1e10 1 limit_damping": "has limit_damping",
+    "* * hertz 1e10 0 rolling linear_history": "has rolling linear_",
+    "* * hertz 1e10 0 tangential": "tangential ,",
+    "* * hertz 1e10 0 tangential mindlin NULL 0": "is too short",
+    "* * hertz/material 1e9 0 0.6": "of at most 0.5 (got 0.6",
+    "* * hertz/material 1e9 0 -1": "0.5 (got -1)",
+    "* * hertz -1 0": "stiffness above 0 (got -1)",
+    "* * hertz 1e10 2 damping velocity": "has an unsupported damping velocity",
+    # The coefficient is that of restitution; at 1, the polynomial of tsuji still dissipates.
+    "* * hertz 1e10 0.9 damping tsuji": "has an unsupported damping tsuji",
+    "* * hertz 1e10 0 damping tsuji": "has an unsupported damping tsuji",
+    "* * hertz 1e10 1 damping tsuji": "has an unsupported damping tsuji",
+    "* * hertz 1e10 0 damping coeff_restitution": "has an unsupported damping coeff_restitution",
+    "* * hertz 1e10 0.9 damping coeff_restitution": "has an unsupported damping coeff_restitution",
+}
+REFUSED |= {f"pair_coeff {words}": message for words, message in MODELS.items()}
+REPLACED = [  # A line, the lines in place of it, and a part of the message.
+    (ANY_PAIR, "pair_coeff 2 2 hertz 1e10 0", "no pair_coeff for types 1"),
+    (ANY_PAIR, f"{SECOND} hertz 1e10 0", "has no pair_coeff for types 1 and 2"),
+    (ANY_PAIR, f"pair_coeff 1 1 hertz 1e10 0\n{SECOND} hooke 1e5 0", UNLIKE),
+    (ANY_PAIR, f"pair_coeff 1 1 hertz 1e10 0\n{SECOND} hertz/material 1e9 0 0.3", UNLIKE),
+    ("group beads id 1:2", "group beads id 1 3", "atom 2 is held within the column"),
+    ("units si", "", "has no command units, so LAMMPS uses lj"),
+    (
+        *("region box block -0.01 0.2 -0.01 0.01 -0.01 0.01", "boundary p f f"),
         "has a periodic boundary along the column, x, in a box that is not read",
     ),
-}
+]
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_a_line_is_rejected_with_its_number(name: str, tmp_path: Path):
-    begins, line, message = REFUSED[name]
-    lines = START.splitlines()
-    if name == "a periodic column":
-        lines = [each for each in lines if not each.startswith("region")]
-    if name == "ends that touch":  # Boundaries are periodic by default.
-        lines = [each for each in lines if not each.startswith("boundary")]
-    places = [n for n, each in enumerate(lines) if begins and each.startswith(begins)]
-    place = places[0] if places else lines.index("timestep 1e-7")
-    lines[place : place + bool(places)] = line.split("\n")
+def refused(folder: Path, text: str) -> str:
+    """Return the message with which an input is rejected, in one line that names its file."""
     with pytest.raises(InputError) as raised:
-        read(tmp_path, "\n".join(lines) + "\n")
-    text = str(raised.value)
-    assert message in text, text
-    assert "\n" not in text
-    assert text.startswith((str(tmp_path), "lmp"))
+        read(folder, text)
+    said = str(raised.value)
+    assert "\n" not in said
+    assert said.startswith(str(folder))
+    return said
+
+
+@pytest.mark.parametrize(("lines", "message"), REFUSED.items())
+def test_a_line_is_rejected_with_its_number(lines: str, message: str, tmp_path: Path) -> None:
+    assert message in refused(tmp_path, START.replace("timestep", f"{lines}\ntimestep"))
+
+
+@pytest.mark.parametrize(("line", "lines", "message"), REPLACED)
+def test_an_input_without_a_required_line_is_rejected(
+    line: str, lines: str, message: str, tmp_path: Path
+) -> None:
+    assert START.count(line) == 1
+    assert message in refused(tmp_path, START.replace(line, lines))
+
+
+@pytest.mark.parametrize(("units", "unit"), [("si", 1.0), ("cgs", 0.01)])
+@pytest.mark.parametrize("axis", range(3))
+def test_ends_that_touch_through_a_periodic_boundary_are_rejected(
+    axis: int, units: str, unit: float, tmp_path: Path
+) -> None:
+    """Boundaries are periodic by default; the column has the length 0.0299998."""
+    text = START.replace("boundary f f f\n", "").replace("si\n", f"{units}\n")
+    text = text.replace("vx", f"v{'xyz'[axis]}")
+    for x in ("0.0", "0.0099999", "0.0199998"):
+        text = text.replace(f"single {x} 0 0", f"single {' '.join(np.roll([x, '0', '0'], axis))}")
+    path = tmp_path / "in.own"
+    for end, touch in ((0.0249, True), (0.0251, False)):
+        sides = np.roll([f"-0.005 {end}", "-0.01 0.01", "-0.01 0.01"], axis)
+        box = text.replace("-0.01 0.2 -0.01 0.01 -0.01 0.01", " ".join(sides))
+        if touch:
+            message = f"has end grains that touch through the periodic boundary {'xyz'[axis]}"
+            assert message in refused(tmp_path, box)
+        else:
+            assert len(read(tmp_path, box).fields["chain"].masses) == 3
+        period = unit * np.roll([end + 0.005, 0.02, 0.02], axis)
+        assert LammpsInput(path).grains().period == pytest.approx(period, rel=1e-12)
 
 
 def test_files_that_are_no_inputs_are_rejected(tmp_path: Path) -> None:
