@@ -50,10 +50,8 @@ def read(folder: Path, text: str):
 def test_the_plain_input_is_understood(tmp_path: Path):
     understood = read(tmp_path, START)
     chain = understood.fields["chain"]
-    # The force is F = k sqrt(R o) o, with R a quarter of the diameter.
-    constant = 1e10 * math.sqrt(0.0025)
-    assert chain.contact_constants == pytest.approx(constant, rel=1e-14)
-    assert chain.masses == pytest.approx(7800 * math.pi / 6 * 1e-6, rel=1e-14)
+    assert chain.contact_constants == pytest.approx(STIFF, rel=1e-14)
+    assert chain.masses == pytest.approx(MASS, rel=1e-14)
     assert (chain.top, chain.bottom, chain.gravity, chain.top_load) == ("free", "fixed", 0.0, 0.0)
     # Without a load, the overlaps of the input are displacements from touching.
     u, v = understood.fields["excitation"].initial(chain)
@@ -62,7 +60,20 @@ def test_the_plain_input_is_understood(tmp_path: Path):
     assert v.tolist() == [0.1, 0.0, 0.0]
     assert understood.fields["duration"] == pytest.approx(1e-5, rel=1e-15)
     assert understood.fields["samples"] == 101
-    assert dict(understood.facts)["units"] == "si (line 1)"
+    off = f"{STIFF * 1e-7**1.5:.2g} N"
+    assert understood.facts == [
+        ("units", "si (line 1)"),
+        ("column", "3 grains along x, which points down: grain 1 is atom 1, grain 3 atom 3"),
+        ("gravity", "none (no fix gravity)"),
+        ("contacts", f"Hertz, {STIFF:g} N/m^1.5 (line 10)"),
+        ("load", "none (no fix addforce on a grain)"),
+        ("top", "free"),
+        ("bottom", "grain 3 is held"),
+        ("grains", f"diameter 0.01 m, mass {MASS:.6g} kg"),
+        ("equilibrium", f"forces of the first frame differ from those at rest by at most {off}"),
+        ("start", "displacements from rest up to 2e-07 m, velocities up to 0.1 m/s"),
+        ("recording", "101 samples to 1e-05 s"),
+    ]
 
 
 WALL = (
@@ -71,7 +82,8 @@ WALL = (
 )
 HELD_TOP = "set atom 1 vx 0\nset atom 2 vx 0.1\ngroup t id 1\nfix 8 t setforce 0 0 0"
 MASS = 7800 * math.pi / 6 * 1e-6
-STIFF = 1e10 * math.sqrt(0.0025)  # Contact constant, N/m^1.5.
+# The force is F = k sqrt(R o) o, with R a quarter of the diameter, and half of it at a wall.
+STIFF = 1e10 * math.sqrt(0.0025)
 WALL_STIFF = 1e10 * math.sqrt(0.005)
 WEIGHT = 9.81 * MASS
 GRAVITY = "fix 9 all gravity 9.81 vector 1 0 0"
@@ -99,12 +111,8 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
     "gravity": (
         "fix 9 all gravity 9.81 vector 2 0 0",
         {
-            "column": "3 grains along x, which points down: grain 1 is atom 1, grain 3 atom 3",
             "gravity": "9.81 m/s2 (line 16)",
             "load": "none (no fix addforce on a grain)",
-            "top": "free",
-            "bottom": "grain 3 is held",
-            "grains": "diameter 0.01 m, mass 0.00408407 kg",
         },
         [0.0, WEIGHT, 2 * WEIGHT, 0.0],
     ),
@@ -144,7 +152,9 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
         [0.0, WEIGHT, 2 * WEIGHT, 3 * WEIGHT],
     ),
     "stops at both ends": (
-        f"{HELD_TOP}\nset atom 3 x 0.0199997",
+        # Forces on other grains, and a second stop, may follow the first stop.
+        f"{HELD_TOP}\nset atom 3 x 0.0199997\nfix 7 t setforce 0 0 0\ngroup r id 2 3\n"
+        "fix 9 r gravity 0 vector 1 0 0",
         {"top": "grain 1 is held", "hold": "grain 1 does not move: a drive of amplitude 0"},
         [0.0, *[STIFF * 1.5e-7**1.5] * 2, 0.0],
     ),
@@ -486,6 +496,9 @@ def test_ends_that_touch_through_a_periodic_boundary_are_rejected(
 
 
 def test_files_that_are_no_inputs_are_rejected(tmp_path: Path) -> None:
+    for place, message in ((tmp_path, "cannot be read: "), (tmp_path / "a", "no such file")):
+        with pytest.raises(InputError, match=message):
+            LammpsInput(place)
     path = tmp_path / "in.own"
     path.write_bytes(b"units si\n\xff\xfe")
     with pytest.raises(InputError, match="is not text: name an input, a data file or a dump"):
@@ -704,7 +717,7 @@ def test_a_dump_replaces_the_grains_of_its_input(
     [
         *("pair_style granular", "pair_coeff 1 1 hertz 1e9 0", "bond_style zero"),
         *("bond_coeff 1 1.0 0.01", "set atom 1 vx 0", "fix 7 all viscous 1"),
-        *("create_bonds single/bond 1 1 2", "displace_atoms all move 0 0 0"),
+        *("create_bonds single/bond 1 1 2", "displace_atoms all move 0 0 0", "read_data a.data"),
     ],
 )
 def test_commands_that_change_the_motion_within_a_dump_are_rejected(
@@ -712,6 +725,7 @@ def test_commands_that_change_the_motion_within_a_dump_are_rejected(
 ) -> None:
     path = tmp_path / "in.own"
     path.write_text(START, encoding="utf-8")
+    (tmp_path / "a.data").write_text(tapered_data(), encoding="utf-8")
     dumped = replace(LammpsInput(path).grains(), steps=(0, 100))
     path.write_text(START.replace("run 100", f"run 50\n{command}\nrun 50"), encoding="utf-8")
     with pytest.raises(InputError, match=r"changes the run at step 50, within the dump"):

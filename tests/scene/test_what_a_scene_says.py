@@ -29,7 +29,6 @@ from lmpchain import (
     simulate_many,
     work_precision,
 )
-from lmpchain.design import Momentum, gradient
 from lmpchain.disorder import ensemble, spreading
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.scene.excitation import EXCITATIONS
@@ -189,18 +188,6 @@ def test_invalid_scenes_are_rejected(take: Any, thing: Any) -> None:
         take(thing)
 
 
-@pytest.mark.parametrize("step", [1e-320, 1e-30])
-def test_steps_beyond_counting_are_rejected(step: float) -> None:
-    scene = acted_on(Impulse(velocity=1e-6))
-    for engine in ("native", "lammps"):
-        with pytest.raises(InputError, match=r"^step: must be longer than .* cannot be counted"):
-            simulate(scene, engine, step=step)
-    with pytest.raises(
-        InputError, match=r"^step: must be longer than .* because runs would take hours"
-    ):
-        gradient(scene, Momentum([2]), ["masses"], step=step)
-
-
 def test_the_number_of_chains_in_an_average_is_limited() -> None:
     scene = acted_on(Impulse(velocity=1e-12))
     for average in (ensemble, spreading):
@@ -216,29 +203,6 @@ def test_decks_have_a_number_of_steps_that_lammps_can_count(tmp_path: Path) -> N
     assert "thermo          ${every}" in file.read_text()
     usual = write_deck(scene.replace(samples=11), tmp_path, step=1e-8)
     assert "thermo          $(10*v_every)" in usual.read_text()
-    with pytest.raises(InputError, match=r"^duration: 3000000000 steps are more than LAMMPS"):
-        write_deck(scene.replace(samples=11), tmp_path, step=1e-5 / 3e9)
-    # A run in the library between two samples is limited in the same way.
-    with pytest.raises(InputError, match=r"^samples: must be more: 3000000000 steps per sample"):
-        simulate(scene, "lammps", integrator="verlet", step=1e-5 / 3e9)
-
-
-def test_a_run_of_minutes_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Begun(Exception):
-        """The error is raised when the run begins."""
-
-    def begin(*_: object) -> None:
-        raise Begun
-
-    chain = column(10_000, gravity=0, top_load=1)
-    scene = struck(chain, 1e-3, 1.0)
-    monkeypatch.setattr("lmpchain.engines.native.Native.start", begin)
-    said = (
-        r"by native with \d+ steps of rkn6 for a tolerance of 1e-06 takes about [0-9.]+ minutes: "
-        r"a shorter duration, a tolerance of 1e-05 \(about [0-9.]+ minutes\) takes less"
-    )
-    with pytest.warns(UserWarning, match=said), pytest.raises(Begun):
-        simulate(scene, "native")
 
 
 # --- the linear chain
@@ -369,6 +333,15 @@ def test_the_external_force_of_drives_and_forces(rng: np.random.Generator) -> No
     for field, expected in zip(grain[:4], (*held, speed, bend), strict=True):
         assert field == pytest.approx(expected, rel=1e-12)
     assert (grain.inertia, grain.on_grain) == (LOADED.masses[0], True)
+    for bottom, last in (("wall", 9), ("fixed", 8)):
+        chain = LOADED.replace(bottom=bottom)
+        base = Drive(**WAVE, end="bottom").push(chain, time, force, rate, velocity)
+        # The contact above the base pushes it down, so that an upward force must hold it.
+        held = -force[:, last], -rate[:, last]
+        for field, expected in zip(base[:4], (*held, speed, bend), strict=True):
+            assert field == pytest.approx(expected, rel=1e-12)
+        of_grain = bottom == "fixed"
+        assert (base.inertia, base.on_grain) == (of_grain * chain.masses[-1], of_grain)
     push = Force(grain=4, **WAVE).push(LOADED, time, force, rate, velocity)
     given = a * np.sin(w * time)
     hurried = (given + force[:, 3] - force[:, 4]) / LOADED.masses[3]
