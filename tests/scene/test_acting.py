@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of, struck
+from helpers.example_scenes import scene_of
 from helpers.forcing import Curve
 from helpers.independent_integrators import distance, extended_reference
 from helpers.standalone_lammps import lmp, read_dump
@@ -173,34 +173,19 @@ def test_one_grain_on_a_spring(kind: str, where: str):
         assert error(t.displacement, t.velocity) < 1e-13
 
 
-@pytest.mark.parametrize("name", ["modes", "chebyshev"])
-def test_a_moving_wall_in_linear_engines(name: str):
-    springs = Chain(**WALLED.given() | {"exponent": 1.0})
-    for kind, given in drives(1e-2).items():
+@pytest.mark.parametrize("name", ["modes", "chebyshev", "bessel"])
+def test_walls_and_forces_in_linear_engines(name: str):
+    """Modes and Chebyshev polynomials know sines, modes also bursts, and only modes know forces."""
+    springs = WALLED.replace(exponent=1.0)
+    acting = [*drives(1e-2).items(), *forces(1e-2, grain=3).items()]
+    for kind, given in acting:
         scene = scene_of(springs, given, LASTS, 5)
-        if kind == "points" or (name == "chebyshev" and kind == "burst"):
-            with pytest.raises(InputError, match=r"excitation: .* (native|modes)"):
+        known = {"modes": True, "chebyshev": given.kind == "drive" and kind == "sine"}
+        if kind == "points" or not known.get(name):
+            with pytest.raises(InputError, match="excitation: "):
                 simulate(scene, name)
-            continue
-        t = simulate(scene, name)
-        assert distance(t, extended_reference(scene)) < 1e-12
-
-
-@pytest.mark.slow
-def test_forces_in_modes():
-    springs = Chain(**LOADED.given() | {"exponent": 1.0, "bottom": "wall"})
-    for kind, given in forces(1e-2, grain=3).items():
-        scene = scene_of(springs, given, (30 if kind != "points" else 8) * UNIT, 5)
-        if kind == "points":
-            with pytest.raises(InputError, match="by points"):
-                simulate(scene, "modes")
-            continue
-        t = simulate(scene, "modes")
-        truth = reference(scene)
-        assert distance(t, truth) < 1e-12
-        for other in ("chebyshev", "bessel"):
-            with pytest.raises(InputError, match="excitation"):
-                simulate(scene, other)
+        else:
+            assert distance(simulate(scene, name), extended_reference(scene)) < 1e-12
 
 
 # --- integrators
@@ -437,46 +422,7 @@ def test_work_and_impulse_are_balanced(kind: str):
     assert parts == pytest.approx(ledger.total, rel=0, abs=1e-9 * np.abs(ledger.contact).max())
 
 
-# --- messages
-
-FAULTS = {
-    "amplitude: give amplitude and frequency": lambda: Force(amplitude=1.0),
-    "amplitude: give amplitude": lambda: Force(
-        amplitude=1.0, shape="half-sine", frequency=2.0, duration=1.0
-    ),
-    "shape: must be": lambda: Force(amplitude=1.0, shape="square", duration=1.0),
-    "force: must have one entry": lambda: Force(times=[0.0, 1.0], force=[1.0]),
-    "interpolation: the spline goes from": lambda: Force(
-        times=[0, 2e-5, 4e-5, 4e-4], force=[0.0, 10.0, 0.0, 0.0], interpolation="spline"
-    ),
-    "interpolation: must be": lambda: Force(times=[0, 1], force=[0, 1], interpolation="cubic"),
-    "grain: must be": lambda: Drive(amplitude=1.0, frequency=1.0, grain=2),
-    "cycles: must be above 0": lambda: Drive(amplitude=1.0, frequency=1.0, cycles=0.0),
-    "kind: squeezes contact": lambda: scene_of(LOADED, forces(1e9)["sine"], LASTS),
-    "wall_constants: must be two": lambda: column(3, bottom="wall", wall_constants=[1.0, 2.0]),
-    "wall_constants: replace": lambda: column(
-        3, bottom="wall", bottom_material="steel", wall_constants=[0.0, 2.0]
-    ),
-    "grains: a single grain": lambda: column(1),
-    "width: the packet extends 6 widths": lambda: scene_of(
-        LOADED, Packet(1e4, 2.0, 4, 1e-12), LASTS
-    ),
-    "kind: there are no linear waves": lambda: scene_of(
-        column(30, gravity=0.0), Packet(1e4, 1.0, 15, 1e-12), LASTS
-    ),
-    "frequency: must be below": lambda: scene_of(column(90), Packet(1e8, 2.0, 15, 1e-12), LASTS),
-}
-
-
-def test_points_as_close_as_possible():
-    assert Drive(times=[0.0, 1e-20], displacement=[0.0, 1e-30]).fastest == pytest.approx(1e20)
-
-
-@pytest.mark.parametrize("said", FAULTS)
-def test_faults_are_explained(said: str):
-    with pytest.raises(InputError) as fault:
-        FAULTS[said]()
-    assert any(line.startswith(said) for line in str(fault.value).splitlines()), fault.value
+# --- files
 
 
 @pytest.mark.parametrize("kind", [*STRONG, "packet"])
@@ -491,15 +437,6 @@ def test_scene_files(kind: str):
     assert given.scaled(1.0) == given
     twice = given.scaled(2.0).largest(chain)[1].max()
     assert twice > 1.2 * given.largest(chain)[1].max()
-
-
-def test_a_force_in_a_file(tmp_path: Path):
-    (tmp_path / "hammer.csv").write_text("time,force\n0,0\n1e-6,0.5\n3e-5,0\n")
-    tables = struck(LOADED, 1e-6, LASTS).to_dict()
-    tables["excitation"] = {"kind": "force", "grain": 2, "file": "hammer.csv"}
-    assert Scene.from_dict(tables, tmp_path).excitation == Force(
-        grain=2, times=[0, 1e-6, 3e-5], force=[0, 0.5, 0]
-    )
 
 
 @pytest.mark.slow

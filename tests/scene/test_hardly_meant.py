@@ -6,7 +6,7 @@ import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
 
-from lmpchain import GLASS, Impurity, Profile, plan, simulate, sweep
+from lmpchain import GLASS, Impurity, Profile, plan, simulate
 from lmpchain.cli import main
 
 CHAIN = column(5)
@@ -75,13 +75,6 @@ def test_the_command_line_warns_once(tmp_path, capsys):
     assert capsys.readouterr().err.splitlines() == [
         "warning: diameter: 0.5 m is wide for a grain; diameters are in metres (1 mm is 1e-3)"
     ]
-
-
-def test_a_sweep_warns_once(tmp_path):
-    swept = {"scene": struck(CHAIN, 1e-3, 1e-5), "keep": ["peak_velocity"], "tolerance": 1e-2}
-    grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
-    (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))
-    assert text.startswith("velocity: a contact is compressed by 0.012 of the diameter")
 
 
 @pytest.mark.parametrize(("turn", "number"), [(9.9, 0), (10.1, 1)])

@@ -34,56 +34,6 @@ def test_a_given_interval_overrides_contradictory_times(tmp_path: Path):
         assert f"by intervals of {interval:g} s" in force.source
 
 
-PLAIN = "t,F\n0,1\n1,2\n2,3\n"
-REFUSED = {  # Text, options, and a part of the message.
-    "a counter": ("Sample,F\n0,1\n1,2\n2,3\n", {}, "time_scale: .*counts the samples"),
-    "numbers that count": ("0,1\n1,2\n2,4\n", {"columns": [1, 2]}, "time_scale: .*counts"),
-    "a remark for a unit": ("t,F (Trigger)\n0,1\n1,2\n", {}, "scale: .*for each Trigger"),
-    "empty cells within": ("t,F\n0,1\n,\n1,2\n2,3\n", {}, "file: .*line 3"),
-    "a lowpass too high": ("t,F\n0,1\n1,2\n2,3\n", {"lowpass": 0.5}, "lowpass: must be below 0.5"),
-    "a lowpass of few": ("t,F\n0,1\n1,2\n2,3\n", {"lowpass": 0.1}, "lowpass: needs more than"),
-    "a lowpass between gaps": (
-        "t,F\n0,1\n1,2\n9,3\n", {"lowpass": 0.1}, "lowpass: needs evenly spaced"
-    ),
-    "another quantity": (PLAIN, {"columns": {"forces": 1}}, "columns: .forces. is not one of time"),
-    "no force": (PLAIN, {"columns": {"time": 1}}, "columns: has no entry for force: add it"),
-    "no columns": (PLAIN, {"columns": []}, "columns: must name one or more different columns"),
-    "a true column": (PLAIN, {"columns": [True, 2]}, r"columns: must be numbers, .* \(got True\)"),
-    "part of a column": (PLAIN, {"columns": 1.5}, r"columns: must be numbers, .* \(got 1.5\)"),
-    "parts of columns": (PLAIN, {"columns": [1, 2.5]}, r"columns: must be numbers, .* \(got 2.5\)"),
-    "two scales": (PLAIN, {"scale": [1.0, 2.0]}, "scale: must be one number, or 1 numbers, one"),
-    "two offsets": (PLAIN, {"offset": [1.0, 2.0]}, "offset: must be one number, or 1 numbers"),
-    "no scale": (PLAIN, {"scale": []}, "scale: must be a finite number, or one for each column"),
-    "a table of scales": (PLAIN, {"scale": [[1.0]]}, "scale: must be a finite number"),
-    "an endless offset": (PLAIN, {"offset": float("inf")}, "offset: must be a finite number"),
-    "three times": (PLAIN, {"baseline": [0, 1, 2]}, "baseline: must be two times, s, the first"),
-    "equal times": (PLAIN, {"baseline": [1, 1]}, "baseline: must be two times, s, the first"),
-    "none of them": (PLAIN, {"every": 0}, "every: must be"),
-    "a skip back": (PLAIN, {"skip": -1}, "skip: must be"),
-    "all but one": (PLAIN, {"every": 3}, "every: must be below 3, the number of samples"),
-    "a highest frequency": (PLAIN, {"lowpass": 0.51}, "lowpass: must be below 0.5 Hz, half the"),
-    "an empty line": (
-        "1.5\n2.5\n\n3.5\n",
-        {"columns": [1], "time_scale": 1e-6},
-        "file: .*line 3: is empty, but lines are counted as samples: fill it in or remove it",
-    ),
-    "two counters": (
-        "Sample,Index,F\n0,1,2\n1,3,4\n3,4,5\n", {"columns": ["F"]}, "time_scale: .*has no times",
-    ),
-    "too few left": ("t,F\n0,1\n1,2\n", {"every": 2}, "every: must be below 2"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("text", "options", "said"), REFUSED.values(), ids=REFUSED)
-def test_ambiguous_files_are_rejected(
-    text: str, options: dict[str, Any], said: str, tmp_path: Path
-):
-    path = tmp_path / "scope.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match=f"^{said}"):
-        Force(grain=1, file=path, **options)
-
-
 @pytest.mark.parametrize(
     ("field", "column", "said"),
     [

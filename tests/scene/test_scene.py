@@ -96,6 +96,8 @@ CHAIN_FAULTS = {  # A line more of the chain, and its key.
     "exponent = 3.1": "exponent",
     "masses = [1e-6]": "masses",
     f"contact_constants = {[-1e9] * 19}": "contact_constants",
+    'bottom = "wall"\nwall_constants = [1.0, 2.0]': "wall_constants",
+    'bottom = "wall"\nbottom_material = "steel"\nwall_constants = [0.0, 2.0]': "wall_constants",
     "top_load = -1.0": "top_load",
     "top_load = 1e6": "diameter",
     'bottom = "free"': "bottom",

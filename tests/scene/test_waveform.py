@@ -1,5 +1,6 @@
 """Waveforms against their definitions in 30 digits, and their bounds against quadrature."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -200,5 +201,8 @@ def test_a_spline_may_leave_the_range_of_its_points_by_a_tenth(sign: float) -> N
         beyond = np.abs(CubicSpline(times, values)(np.linspace(0, 3, 3001))).max() - 1
         assert beyond == pytest.approx(expected, abs=0.002)
     Force(times=times, force=near, interpolation="spline")
-    ((key, _),) = faults(Force, times=times, force=far, interpolation="spline")
+    ((key, text),) = faults(Force, times=times, force=far, interpolation="spline")
     assert key == "interpolation"
+    low, high, *points = (float(x) for x in re.findall(r"[-+.e\d]*\d", text))
+    assert sorted(points) == sorted([0.0, sign])
+    assert sorted([low, high]) == pytest.approx(sorted([0.0, 1.114 * sign]), abs=0.005)
