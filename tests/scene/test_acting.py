@@ -17,16 +17,7 @@ from helpers.whole_runs import blocks_of
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from lmpchain import (
-    Chain,
-    Drive,
-    Force,
-    InputError,
-    Packet,
-    Scene,
-    engines,
-    simulate,
-)
+from lmpchain import Chain, Drive, Force, InputError, Packet, Scene, engines, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.stepping import time_stepping as stepping_run

@@ -110,10 +110,7 @@ PRESSED = float(brentq(excess, 0.0, 10.0, xtol=1e-15))
 UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
     "gravity": (
         "fix 9 all gravity 9.81 vector 2 0 0",
-        {
-            "gravity": "9.81 m/s2 (line 16)",
-            "load": "none (no fix addforce on a grain)",
-        },
+        {"gravity": "9.81 m/s2 (line 16)", "load": "none (no fix addforce on a grain)"},
         [0.0, WEIGHT, 2 * WEIGHT, 0.0],
     ),
     "two parts of gravity": (

@@ -32,11 +32,7 @@ SCENES = {
     "the paper's": (column(600), Impulse(velocity=8.57e-4), 100e-6),
     "strong": (column(600), Impulse(velocity=8.57e-3), 100e-6),
     "in the middle": (column(600), Impulse(velocity=1e-3, grain=300), 60e-6),
-    "at the floor": (
-        column(600, bottom="wall"),
-        Impulse(velocity=-1e-3, grain=600),
-        60e-6,
-    ),
+    "at the floor": (column(600, bottom="wall"), Impulse(velocity=-1e-3, grain=600), 60e-6),
     "moved": (column(600), Displacement(displacement=1e-8, grain=100), 60e-6),
     "sonic vacuum": (column(600, gravity=0.0), Impulse(velocity=0.1), 200e-6),
     "springs": (column(600, exponent=1.0), Impulse(velocity=1e-3), 3e-6),

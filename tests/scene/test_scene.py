@@ -79,10 +79,7 @@ FAULTS = [  # Text, its replacement, and the key that must be named.
     ("samples = 11", "samples = 1", "recording.samples"),
     ("samples = 11", "grains = [1, 21]", "recording.grains"),
     ("gravity =", "impurity = {grain = 3}\ngravity =", "chain.impurity"),
-    (
-        *("gravity =", f"contact_constants = {[1] * 19}\n{ODD_SIZE}\ngravity ="),
-        "chain.impurity.0",
-    ),
+    (*("gravity =", f"contact_constants = {[1] * 19}\n{ODD_SIZE}\ngravity ="), "chain.impurity.0"),
     (GLASS_BEADS, 'file = "none.csv"', "chain.file"),
     (GLASS_BEADS, "file = 3", "chain.file"),
     (
@@ -516,11 +513,7 @@ def test_invalid_excitations_are_named(given: object):
 @pytest.mark.parametrize("value", [10**5000, [10**400], "1:" + "9" * 5000, [1.0] * 10**6], ids=type)
 @pytest.mark.parametrize("key", ["duration", "samples", "grains"])
 def test_values_of_any_length_are_rejected_in_one_line(key: str, value: object):
-    fields = {
-        "chain": column(12),
-        "excitation": Impulse(velocity=1e-5),
-        "duration": 1e-5,
-    }
+    fields = {"chain": column(12), "excitation": Impulse(velocity=1e-5), "duration": 1e-5}
     (fault,) = faults(Scene, **fields | {key: value})
     assert fault[0] == key
     assert len(fault[1]) < 250

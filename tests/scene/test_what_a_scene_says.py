@@ -50,9 +50,7 @@ def acted_on(excitation: Any, chain: Chain = COLUMN, **keys: Any) -> Scene:
 @pytest.mark.parametrize(
     "needed", [0.3, 0.99, 1.01, 1.99, 2.01, 2.99, 3.01, 3.99, 4.01, 5.9, 6.1, 8.1, 12.1, 90.0]
 )
-def test_the_number_of_fine_intervals_is_the_smallest_sufficient_one(
-    needed: float,
-) -> None:
+def test_the_number_of_fine_intervals_is_the_smallest_sufficient_one(needed: float) -> None:
     """The limit is half a radian of the highest frequency, which is the drive's here."""
     drive = Drive(amplitude=1e-15, frequency=1e7)
     samples = 11
@@ -582,10 +580,7 @@ def test_a_notebook_shows_a_scene() -> None:
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
     rows = {cells[n]: cells[n + 1 : n + 3] for n in range(0, len(cells) - 2, 3)}
     assert rows["recorded"] == ["11 times to 0.0001 s, 4 grains", ""]
-    assert rows["strike number"] == [
-        f"{scene.strike_number:.4g}",
-        "too strong for linear theory",
-    ]
+    assert rows["strike number"] == [f"{scene.strike_number:.4g}", "too strong for linear theory"]
     words = {1e-6: "weak enough for linear theory", 1e-5: "almost linear"}
     for velocity, verdict in words.items():
         assert verdict in acted_on(Impulse(velocity=velocity))._repr_html_()

@@ -101,9 +101,7 @@ def numbers(scene: Scene) -> dict[str, Any]:
     found = {name: getattr(scene, name) for name in ("duration", "samples", "grains", "quantities")}
     found |= {"strike": scene.strike_number, "strain": scene.largest_strain}
     found["fastest"] = scene.fastest_motion
-    found |= {
-        "energy": scene.energy if not scene.excitation.does_work else 0.0,
-    }
+    found |= {"energy": scene.energy if not scene.excitation.does_work else 0.0}
     found |= {
         "excitation": scene.excitation,
         "imposed": scene.imposed is None,

@@ -28,16 +28,7 @@ from helpers.faults import fault_keys
 from helpers.thinned import thinned
 
 import lmpchain.sweeps.run as run
-from lmpchain import (
-    Chain,
-    Impulse,
-    InputError,
-    Packet,
-    Scene,
-    load_sweep,
-    simulate,
-    sweep,
-)
+from lmpchain import Chain, Impulse, InputError, Packet, Scene, load_sweep, simulate, sweep
 from lmpchain.cli.command_line import main
 from lmpchain.disorder.averages import realisation
 from lmpchain.sweeps import tasks
@@ -179,8 +170,7 @@ DRAWN: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize(
     ("bottom", "keys"),
     thinned(
-        product(["fixed", "wall"], [*([key] for key in DRAWN), list(DRAWN)[:2], list(DRAWN)[3:]]),
-        2,
+        product(["fixed", "wall"], [*([key] for key in DRAWN), list(DRAWN)[:2], list(DRAWN)[3:]]), 2
     ),
 )
 def test_numbers_of_every_grain_are_drawn(tmp_path, bottom, keys):
