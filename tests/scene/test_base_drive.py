@@ -212,30 +212,6 @@ def test_batches_files_and_starts_of_their_own(tmp_path: Path) -> None:
     assert both[1].velocity[50, -1] != both[0].velocity[50, -1]
 
 
-def test_a_run_folder_continues_with_the_same_bits(tmp_path: Path) -> None:
-    scene = scene_of(steel_column(bottom="fixed"), SHAKEN, duration=5e-4)
-    whole = simulate(scene, "native", tolerance=1e-8)
-    folder = tmp_path / "folder"
-    kept = lmpchain.simulate(scene, "native", tolerance=1e-8, folder=folder)
-    np.testing.assert_array_equal(kept.displacement, whole.displacement)
-    base = SHAKEN.motion(scene.time)[0]
-    np.testing.assert_allclose(kept.displacement[:, -1], base, atol=1e-20)
-
-
-def test_sweeps_over_frequency_and_amplitude(tmp_path: Path) -> None:
-    scene = scene_of(steel_column(bottom="wall"), SHAKEN, duration=2e-4)
-    grid = {"excitation.frequency": [1000.0, 2000.0], "excitation.amplitude": [1e-6, 3e-6]}
-    plan = {"scene": scene.to_dict(), "keep": ["peak_force:8"], "grid": grid, "tolerance": 1e-8}
-    swept = lmpchain.sweep(plan, tmp_path / "swept").load()
-    for frequency in grid["excitation.frequency"]:
-        for amplitude in grid["excitation.amplitude"]:
-            drive = SHAKEN.replace(frequency=frequency, amplitude=amplitude)
-            one = scene.replace(excitation=drive, quantities=["peak_force:8"])
-            peak = simulate(one, "native", tolerance=1e-8).gathered["peak_force:8"]
-            at = {"excitation.frequency": frequency, "excitation.amplitude": amplitude}
-            np.testing.assert_allclose(swept["peak_force_8"].sel(at), peak, rtol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("fields", "drive", "key"),
     [

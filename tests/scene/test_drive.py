@@ -13,7 +13,7 @@ from helpers.independent_integrators import distance, extended_reference
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines, simulate
+from lmpchain import Chain, Drive, Impulse, Profile, Scene, engines, simulate
 from lmpchain.integrators.methods import METHODS
 
 Array = NDArray[np.float64]
@@ -181,25 +181,3 @@ def test_a_drive_may_begin_with_grains_in_motion(
     tables["excitation"]["start"] = {"file": "start.csv"}
     assert Scene.from_dict(tables, tmp_path) == scene
     assert scene.excitation.scaled(2.0).start.velocity == pytest.approx(2 * v)
-
-
-def test_a_start_of_another_length_is_rejected():
-    chain = loaded()
-    for start, said in (
-        (Profile(velocity=np.ones(5)), "excitation.start.velocity: must have one entry a grain"),
-        (
-            Profile(velocity=np.eye(8)[0]),
-            "excitation.start.velocity: must be 0 for grain 1, because it is driven",
-        ),
-        (
-            Profile(displacement=np.eye(8)[7]),
-            "excitation.start.displacement: must be 0 for grain 8, which is held",
-        ),
-    ):
-        tables = scene_of(chain, sine(chain), 8 * chain.time_scale).to_dict()
-        tables["excitation"]["start"] = {
-            key: value.tolist() for key, value in start.given().items()
-        }
-        with pytest.raises(InputError) as caught:
-            Scene.from_dict(tables)
-        assert str(caught.value).startswith(said)

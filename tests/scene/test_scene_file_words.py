@@ -113,6 +113,10 @@ def test_tables_fill_the_fields_of_their_columns(tmp_path: Path) -> None:
     assert scene.chain.diameters.tolist() == [1e-3, 2e-3]
     assert scene.chain.masses.tolist() == [1e-6, 2e-6]
     assert [x.tolist() for x in scene.initial()] == [[1e-12, 0.0], [1e-6, 0.0]]
+    (tmp_path / "sizes.csv").write_text("diameter\n1e-3\n2e-3\n")
+    keys = {"file": "sizes.csv", "grains": 2, "material": "ptfe"}
+    plain = Scene.from_dict(GOOD | {"chain": keys}, tmp_path).chain
+    assert plain == Chain(grains=2, diameter=[1e-3, 2e-3], material="ptfe")
     driven = Scene.from_dict(GOOD | {"excitation": {"kind": "drive", "file": "path.csv"}}, tmp_path)
     assert driven.excitation.times.tolist() == [0.0, 1e-5]
     assert driven.excitation.displacement.tolist() == [0.0, 1e-12]
@@ -165,16 +169,6 @@ def test_invalid_toml_is_named_by_its_path(text: bytes, said: str, tmp_path: Pat
     ((key, message),) = faults(Scene.from_toml, path)
     assert key == str(path)
     assert said in message
-
-
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    for path, said in (
-        (tmp_path / "none.toml", "there is no such file"),
-        (tmp_path, "cannot be read: "),
-    ):
-        ((key, message),) = faults(Scene.from_toml, path)
-        assert key == str(path)
-        assert message.startswith(said)
 
 
 def test_tables_of_a_scene_contain_plain_values_and_names_of_materials() -> None:

@@ -350,73 +350,73 @@ def test_the_external_force_of_drives_and_forces(rng: np.random.Generator) -> No
 
 
 POINTS = {"times": [0.0, 1e-4], "displacement": [0.0, 1e-12]}
-REFUSED = {
-    "too swift": (
-        {"kind": "drive", "amplitude": 1e-12, "frequency": 1.6e19},
-        ("frequency", "corresponds to 1e+20 rad/s, which is too fast to compute: use SI units"),
+SWIFT = "rad/s, which is too fast to compute: use SI units"
+PATH: dict[str, Any] = {"times": [0.0, 1e-4], "displacement": [0.0, 0.0]}
+REFUSED: list[tuple[Any, dict[str, Any], tuple[str, str]]] = [
+    (
+        *(Drive, {"amplitude": 1e-12, "frequency": 1.6e19}),
+        ("frequency", f"corresponds to 1e+20 {SWIFT}"),
     ),
-    "too short a burst": (
-        {"kind": "drive", "amplitude": 1e-12, "frequency": 1e19, "cycles": 0.1},
-        ("cycles", "corresponds to 6.9e+20 rad/s, which is too fast to compute: use SI units"),
+    (
+        *(Drive, {"amplitude": 1e-12, "frequency": 1e19, "cycles": 0.1}),
+        ("cycles", f"corresponds to 6.9e+20 {SWIFT}"),
     ),
-    "too short a blow": (
-        {"kind": "force", "amplitude": 1e-12, "shape": "half-sine", "duration": 3e-20},
-        ("duration", "corresponds to 1e+20 rad/s, which is too fast to compute: use SI units"),
+    (
+        *(Force, {"amplitude": 1e-12, "shape": "half-sine", "duration": 3e-20}),
+        ("duration", f"corresponds to 1e+20 {SWIFT}"),
     ),
-    "nothing": (
-        {"kind": "drive", "amplitude": 1e-12},
+    (
+        *(Drive, {"amplitude": 1e-12}),
         (
             "amplitude",
             'give shape = "piston", velocity and rise, or amplitude and frequency, with or without '
             "cycles, or times and displacement (or a file with both)",
         ),
     ),
-    "no shape": (
-        {"kind": "force", "amplitude": 1e-12, "duration": 1e-5},
+    (
+        *(Force, {"amplitude": 1e-12, "duration": 1e-5}),
         (
             "amplitude",
             "give amplitude and frequency, with or without cycles, or times and force, or shape, "
-            "amplitude and "
-            "duration (or a file with both)",
+            "amplitude and duration (or a file with both)",
         ),
     ),
-    "too large": (
-        {"kind": "drive", "times": [0.0, 1e-4], "displacement": [0.0, -1.1e100]},
+    (
+        *(Drive, PATH | {"displacement": [0.0, -1.1e100]}),
         ("displacement", "must be at most 1e+100 in magnitude"),
     ),
-    "too few": (
-        {"kind": "drive", "times": [0.0, 1e-4], "displacement": [0.0]},
+    (
+        *(Drive, PATH | {"displacement": [0.0]}),
         ("displacement", "must have one entry for each of two or more times, not 1"),
     ),
-    "before the strike": (
-        {"kind": "drive", "times": [-1e-9, 1e-4], "displacement": [0.0, 0.0]},
+    (
+        *(Drive, PATH | {"times": [-1e-9, 1e-4]}),
         ("times", "must be 0 or more, and increase by more than 1e-12 of the last"),
     ),
-    "too close": (
-        {"kind": "drive", "times": [0.0, 0.99e-16, 1e-4], "displacement": [0.0, 0.0, 0.0]},
+    (
+        *(Drive, {"times": [0.0, 0.99e-16, 1e-4], "displacement": [0.0, 0.0, 0.0]}),
         ("times", "must be 0 or more, and increase by more than 1e-12 of the last"),
     ),
-    "in other units": (
-        {"kind": "drive", "times": [0.0, 0.9e-20], "displacement": [0.0, 0.0]},
+    (
+        *(Drive, PATH | {"times": [0.0, 0.9e-20]}),
         ("times", "are 9e-21 s apart, which is too little to compute: use SI units"),
     ),
-    "begins elsewhere": (
-        {"kind": "drive", "times": [0.0, 1e-4], "displacement": [1e-12, 0.0]},
-        ("displacement", "must begin with 0, the position of grain 1 at rest"),
+    *(
+        (Drive, PATH | {"displacement": [1e-12, 0.0]} | where, ("displacement", at))
+        for where, at in (
+            ({}, "must begin with 0, the position of grain 1 at rest"),
+            ({"grain": 0}, "must begin with 0, the position of the wall at rest"),
+            ({"end": "bottom"}, "must begin with 0, the position of the base at rest"),
+        )
     ),
-    "wall elsewhere": (
-        {"kind": "drive", "times": [0.0, 1e-4], "displacement": [1e-12, 0.0], "grain": 0},
-        ("displacement", "must begin with 0, the position of the wall at rest"),
-    ),
-}
+]
 
 
-@pytest.mark.parametrize(("keys", "fault"), REFUSED.values(), ids=REFUSED)
+@pytest.mark.parametrize(("kind", "keys", "fault"), REFUSED)
 def test_invalid_forcings_are_rejected_with_their_number(
-    keys: dict[str, Any], fault: tuple[str, str]
+    kind: Any, keys: dict[str, Any], fault: tuple[str, str]
 ) -> None:
-    given = dict(keys)
-    assert faults(EXCITATIONS[given.pop("kind")], **given) == [fault]
+    assert faults(kind, **keys) == [fault]
 
 
 def test_forcings_at_the_limits_are_valid() -> None:
