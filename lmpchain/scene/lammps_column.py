@@ -639,7 +639,7 @@ class RunColumn:
         walls = [
             (end, weight)
             for end, weight in ((top, 0.0), (bottom, float(weights[-1])))
-            if end.kind == "wall" and math.isfinite(end.overlap)
+            if end.kind == "wall"
         ]
         total = float(overlaps.sum()) + sum(end.overlap for end, _ in walls)
 

@@ -108,9 +108,10 @@ def test_a_dump_places_the_grains_of_a_data_file(tmp_path: Path) -> None:
     """Masses are those of the file; positions are twice those, with one grain less."""
     (tmp_path / "a.data").write_text(DATA["bond"][1].replace(BONDS, ""), encoding="utf-8")
     path = tmp_path / "in.own"
-    text = "units si\natom_style bond\nboundary f f f\nread_data a.data\n"
+    text = "units cgs\natom_style bond\nboundary f f f\nread_data a.data\n"
     path.write_text(text, encoding="utf-8")
     placed = LammpsInput(path).grains()
+    assert placed.positions[:, 0] == pytest.approx([4e-4, 2e-4, 0.0], rel=1e-15)
     few = slice(1, 3)
     unknown = np.full(2, math.nan)
     dumped = RunGrains(
@@ -120,7 +121,7 @@ def test_a_dump_places_the_grains_of_a_data_file(tmp_path: Path) -> None:
     path.write_text(f"{text}create_bonds many all all 1 0.03 0.05\n", encoding="utf-8")
     source = LammpsInput(path, dumped)
     grains = source.grains()
-    assert grains.masses.tolist() == [4e-3, 2e-3]
+    assert grains.masses == pytest.approx([4e-6, 2e-6], rel=1e-15)
     assert grains.types.tolist() == [2, 1]
     assert grains.positions.tolist() == dumped.positions.tolist()
     assert grains.velocities.tolist() == dumped.velocities.tolist()

@@ -157,6 +157,9 @@ def test_missing_results_are_nan(tmp_path: Path):
     store.create_results(tmp_path, made, {}, {"case": 3})
     assert np.isnan(store.read_column(tmp_path, made, "peak", np.arange(3))).all()
     assert store.read_column(tmp_path, made, "reason", np.arange(3)).tolist() == ["not done"] * 3
+    # Reading leaves the store unchanged.
+    assert store.open_store(tmp_path).read_only
+    assert not store.open_store(tmp_path, writing=True).read_only
 
 
 def test_leftovers_of_killed_processes_are_removed(split: Any):
