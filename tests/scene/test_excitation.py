@@ -76,14 +76,13 @@ def test_the_sign_of_a_drive_does_not_change_the_error_of_linear_theory() -> Non
         assert up == down
 
 
-def test_only_an_impulse_is_a_strike() -> None:
-    assert {name for name, e in WEAK.items() if e.strike_velocity} == {"impulse"}
+def test_labels_of_impulses_have_convenient_units() -> None:
+    for velocity, text in (
+        *((8.57e-4, "0.857 mm/s"), (1e-5, "0.01 mm/s"), (9.9e-6, "9.9 µm/s")),
+        *((-2.5, "-2.5 m/s"), (1.0, "1 m/s"), (0.99, "990 mm/s")),
+    ):
+        assert Impulse(velocity=velocity).label == f"an impulse of {text}"
     assert Impulse(velocity=1e-3).strikes_top
-    assert not any(e.strikes_top for e in WEAK.values())
-    assert Impulse(velocity=8.57e-4).label == "an impulse of 0.857 mm/s"
-    assert Impulse(velocity=1e-6).label == "an impulse of 1 µm/s"
-    assert Impulse(velocity=-2.5).label == "an impulse of -2.5 m/s"
-    assert WEAK["drive"].label == "a drive"
 
 
 def test_profiles_of_one_chain_add_up():

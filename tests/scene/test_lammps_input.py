@@ -3,7 +3,6 @@
 import math
 import random
 import re
-import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -361,7 +360,6 @@ REFUSED = {  # Lines that are added before the run, and a part of the message.
     "group beads region box": "uses the group beads, which is not",
     "create_atoms 1 single 0 0.005 0": "is 0.005 m beside the line",
     "create_atoms 1 random 20 1 NULL": "places grains that are not read",
-    "create_atoms 1 single 3 0 0": "is outside of the box",
     "set atom 2 vz 0.01": "atom 2 moves sideways at 0.01 m/s",
     "set atom 2 omega 1": "sets omega, which is not read",
     "velocity all create 300 1": "gives velocities that are not read",
@@ -369,10 +367,8 @@ REFUSED = {  # Lines that are added before the run, and a part of the message.
     "minimize 0 0 10 10": "is not understood",
     "neigh_modify exclude type 1 1": "removes forces between pairs",
     "partition yes 1 run 3": "is not understood",
-    "include other.in": "is not understood",
     "label again": "is a loop or a condition, which is not executed",
     "jump SELF again": "is a loop or a condition",
-    "rerun own.lammpstrj": "is not understood",
     "units real": "is not a style for grains",
     "units lj": "has no scale: add --units LENGTH,TIME,MASS",
     "lattice sc 0.01": "scales positions",
@@ -409,7 +405,6 @@ REFUSED = {  # Lines that are added before the run, and a part of the message.
 MODELS = {  # Words after pair_coeff, and a part of the message.
     "1 1 hertz 1e10 0\npair_coeff 1 2 hooke 1e5 0\nset atom 3 type 2": "has both hertz and hooke",
     "* * jkr 1e10 0 0.3 0.1": "has cohesion (jkr)",
-    "* * dmt 1e10 0 0.3 0.1": "has cohesion (dmt)",
     "* * hurtz 1e10 0": "has no known contact model",
     "* * hertz 1e10 0 sticky 3": "has sticky",
     "* * hertz 1e10 0 cutoff 1": "has cutoff",
@@ -671,12 +666,18 @@ WITH_DUMP: dict[str, tuple[str, tuple[int, int], str]] = {
     "a change behind": ("run 50\nvelocity all set 0 0 0\nrun 50", (0, 50), ""),
     "a velocity within": ("run 9\nvelocity all set 0 0 0\nrun 9", (0, 18), "at step 9, within"),
     "no fix to remove": ("run 50\nunfix 7\nrun 50", (0, 100), ""),
-    "a mass within": ("run 50\nmass 1 2.0\nrun 50", (0, 100), "at step 50, within"),
-    "a fix that ends": ("run 50\nunfix 1\nrun 50", (0, 100), "at step 50, within"),
     "an observer": ("run 50\nfix 7 all ave/time 1 1 1 v_a\nrun 50", (0, 100), ""),
     "counted anew": ("run 50\ntimestep 2e-7\nreset_timestep 0\nrun 100", (0, 100), ""),
     "a run up to a step": ("run 50\nrun 70 upto\ntimestep 2e-7\nrun 9", (0, 79), "at step 70,"),
     "a type": ("group g type 1\nrun 9", (0, 9), "depends on types, which the dump does not have"),
+}
+WITH_DUMP |= {
+    command: (f"run 50\n{command}\nrun 50", (0, 100), "at step 50, within the dump")
+    for command in (
+        *("pair_style granular", "pair_coeff 1 1 hertz 1e9 0", "bond_style zero", "mass 1 2.0"),
+        *("bond_coeff 1 1.0 0.01", "set atom 1 vx 0", "fix 7 all viscous 1", "unfix 1"),
+        *("create_bonds single/bond 1 1 2", "displace_atoms all move 0 0 0", "read_data a.data"),
+    )
 }
 
 
@@ -687,6 +688,7 @@ def test_a_dump_replaces_the_grains_of_its_input(
     """Sizes come from the input if the dump has none; changes within the dump are rejected."""
     path = tmp_path / "in.own"
     path.write_text(START, encoding="utf-8")
+    (tmp_path / "a.data").write_text(tapered_data(), encoding="utf-8")
     placed = LammpsInput(path).grains()
     unknown = np.full(3, math.nan)
     types = placed.types * (message[:16] != "depends on types")
@@ -707,26 +709,6 @@ def test_a_dump_replaces_the_grains_of_its_input(
     grains = LammpsInput(path, bare).grains()
     assert grains.diameters.tolist() == [0.01] * 3
     assert grains.masses == pytest.approx(MASS * 7000 / 7800, rel=1e-14)
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        *("pair_style granular", "pair_coeff 1 1 hertz 1e9 0", "bond_style zero"),
-        *("bond_coeff 1 1.0 0.01", "set atom 1 vx 0", "fix 7 all viscous 1"),
-        *("create_bonds single/bond 1 1 2", "displace_atoms all move 0 0 0", "read_data a.data"),
-    ],
-)
-def test_commands_that_change_the_motion_within_a_dump_are_rejected(
-    command: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "in.own"
-    path.write_text(START, encoding="utf-8")
-    (tmp_path / "a.data").write_text(tapered_data(), encoding="utf-8")
-    dumped = replace(LammpsInput(path).grains(), steps=(0, 100))
-    path.write_text(START.replace("run 100", f"run 50\n{command}\nrun 50"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"changes the run at step 50, within the dump"):
-        LammpsInput(path, dumped)
 
 
 @pytest.mark.parametrize(
@@ -1023,55 +1005,37 @@ def mutated(random_: random.Random, text: str) -> str:
     return "\n".join(lines)
 
 
-def test_damaged_inputs_are_scenes_or_faults_of_one_line(tmp_path: Path):
-    """200 inputs and data files with damaged lines cause neither a traceback nor a hang."""
+def attempts(paths: list[Path], options: RunOptions | None) -> bool:
+    """Return whether files give a scene, and not an error with a message."""
+    try:
+        scene_of_run(paths, options)
+    except LmpchainError:
+        return False
+    return True
+
+
+@pytest.mark.timeout(600)
+def test_damaged_files_are_scenes_or_faults_of_one_line(tmp_path: Path) -> None:
+    """Damaged inputs, data files and dumps cause neither a traceback nor a hang."""
     random_ = random.Random(61)
     texts = [text for name, text in INPUTS.items() if name != "column"] + [START, tapered_data()]
-    (tmp_path / "tapered.data").write_text(tapered_data(), encoding="utf-8")
     path = tmp_path / "in.own"
-    made = refused = 0
-
-    def stop(*_: object) -> None:
-        raise AssertionError("an input took more than 10 s")
-
-    before = signal.signal(signal.SIGALRM, stop)
-    try:
-        for _ in range(200):
-            path.write_text(mutated(random_, random_.choice(texts)), encoding="utf-8")
-            signal.alarm(10)
-            try:
-                source = LammpsInput(path)
-                missing = {"duration": 1e-4, "young": 1e9, "poisson": 0.3}
-                options = RunOptions(**missing if source.data_only else {})
-                infer_scene(source.grains(), source, options)
-                made += 1
-            except LmpchainError:
-                refused += 1
-            finally:
-                signal.alarm(0)
-    finally:
-        signal.signal(signal.SIGALRM, before)
-    # Damage to comments and output leaves a valid scene.
-    assert min(made, refused) > 10
-
-
-def test_damaged_dumps_are_scenes_or_faults_of_one_line(tmp_path: Path):
-    random_ = random.Random(62)
-    text = run_input(tmp_path, LEVEL).read_text(encoding="utf-8")
-    # The first three frames.
-    text = "ITEM: TIMESTEP".join(text.split("ITEM: TIMESTEP")[:4])
+    of_data = RunOptions(duration=1e-4, young=1e9, poisson=0.3)
+    made = []
+    for _ in range(200):
+        text = random_.choice(texts)
+        path.write_text(mutated(random_, text), encoding="utf-8")
+        (tmp_path / "tapered.data").write_text(tapered_data(), encoding="utf-8")
+        made.append(attempts([path], of_data if text is texts[-1] else None))
     dump = tmp_path / "damaged.lammpstrj"
-    options = RunOptions(material="steel", timestep=1e-7)
-    made = refused = 0
+    frames = run_input(tmp_path, LEVEL).read_text(encoding="utf-8").split("ITEM: TIMESTEP")
+    text = "ITEM: TIMESTEP".join(frames[:4])
+    of_dump = RunOptions(material="steel", timestep=1e-7)
     for _ in range(120):
         dump.write_text(mutated(random_, text), encoding="utf-8")
-        for paths in ([dump], [dump, tmp_path / "in.own"]):
-            try:
-                scene_of_run(paths, options if len(paths) == 1 else None)
-                made += 1
-            except LmpchainError:
-                refused += 1
-    assert min(made, refused) > 10
+        made += [attempts([dump], of_dump), attempts([dump, path], None)]
+    # Damage to comments and output leaves a valid scene.
+    assert 20 < sum(made) < len(made) - 20
 
 
 def test_a_refusal_is_one_line_and_exit_code_2(tmp_path: Path, capsys):

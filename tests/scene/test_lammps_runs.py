@@ -101,25 +101,6 @@ def test_a_dump_alone_gives_gravity_and_load(name: str, tmp_path: Path):
     assert "masses" not in scene.chain.given()
 
 
-def test_any_axis_and_either_direction(tmp_path: Path):
-    """Axes are exchanged and reversed, but the scene is the same."""
-    run_input(tmp_path, LEVEL)
-    first = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
-    turned = LEVEL
-    for n in range(12):
-        x = 0.00999 * n
-        turned = turned.replace(f"single {x!r} 0.0 0.0", f"single 0.0 0.0 {-x!r}")
-    turned = turned.replace("-0.01 0.2 -0.01 0.01 -0.01 0.01", "-0.01 0.01 -0.01 0.01 -0.2 0.01")
-    turned = turned.replace("hit set 0.1 0 0", "hit set 0 0 -0.1")
-    dump = run_input(tmp_path, turned)
-    second = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
-    assert second.chain.grains == first.chain.grains
-    assert second.excitation.initial(second.chain)[1] == pytest.approx(
-        first.excitation.initial(first.chain)[1]
-    )
-    assert difference(dump, second, 1e-7) < 2e-8
-
-
 def frames_from(dump: Path, first: int) -> Path:
     """Return a dump without its first frames."""
     head, *frames = dump.read_text(encoding="utf-8").split("ITEM: TIMESTEP")

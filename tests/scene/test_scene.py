@@ -21,7 +21,6 @@ from lmpchain import (
     Material,
     Profile,
     Scene,
-    Trajectory,
 )
 from lmpchain.cli.command_line import main
 
@@ -244,27 +243,6 @@ def test_a_file_that_is_not_a_scene_file(tmp_path: Path, capsys: pytest.CaptureF
         assert main(["run", nothing]) == 2
 
 
-def test_an_engine_without_this_exponent(file: Path, capsys: pytest.CaptureFixture[str]):
-    file.write_text(GOOD.replace("gravity =", "exponent = 2.0\ngravity ="))
-    assert main(["run", str(file), "--engine", "lammps"]) == 2
-    assert capsys.readouterr().err.startswith("error: exponent: ")
-    assert main(["run", str(file), "--engine", "native"]) == 0
-
-
-def test_a_file_that_is_not_a_trajectory(tmp_path: Path):
-    import xarray
-
-    foreign = tmp_path / "foreign.nc"
-    xarray.Dataset({"displacement": ("x", [1.0])}).to_netcdf(foreign, engine="h5netcdf")
-    text = tmp_path / "text.nc"
-    text.write_text(GOOD)
-    empty = tmp_path / "empty.nc"
-    empty.touch()
-    for path in (foreign, text, empty, tmp_path, tmp_path / "missing.nc"):
-        with pytest.raises(InputError, match=path.name):
-            Trajectory.load(path)
-
-
 WATER = Material(density=1000.0, youngs_modulus=2.2e9, poissons_ratio=0.5)
 CHAINS = {
     "plain": column(4),
@@ -354,26 +332,6 @@ def test_a_written_scene_file_is_read_as_an_equal_scene(
     assert np.array_equal(again.recorded, scene.recorded)
     again.to_toml(file.with_name("again.toml"))
     assert file.with_name("again.toml").read_bytes() == file.read_bytes()
-
-
-def test_a_changed_number_makes_a_different_scene(file: Path):
-    file.write_text(GOOD)
-    scene = Scene.from_toml(file)
-    changes = [
-        ("9.81", "9.80"),
-        ("8.57e-4", "8.58e-4"),
-        ("10e-6", "11e-6"),
-        ("= 11", "= 12"),
-        ('"glass"', '"steel"'),
-        ("samples = 11", "samples = 11\ngrains = [1]"),
-        ("gravity", 'top = "wall"\ngravity'),
-        ("gravity", 'bottom = "wall"\ngravity'),
-        ("gravity", "impurity = [{grain = 3, mass = 1e-6}]\ngravity"),
-        (STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5'),
-    ]
-    for old, new in changes:
-        file.write_text(GOOD.replace(old, new))
-        assert Scene.from_toml(file) != scene
 
 
 def test_a_chain_is_read_from_a_csv_file(file: Path):

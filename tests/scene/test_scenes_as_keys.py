@@ -47,6 +47,10 @@ def test_different_values_are_different_keys():
         SCENE,
         SCENE.replace(samples=102),
         SCENE.replace(grains=[1, 2]),
+        SCENE.replace(duration=1.1e-5),
+        SCENE.replace(excitation=Impulse(velocity=1e-9)),
+        SCENE.replace(chain=COLUMN.replace(top="wall")),
+        SCENE.replace(chain=COLUMN.replace(bottom="wall")),
     ]
     assert len(set(values)) == len(values)
     assert len({hash(value) for value in values}) == len(values)

@@ -4,9 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from lmpchain import InputError, Scene, engines, simulate
-from lmpchain.engines.lammps.engine import Lammps
-from lmpchain.engines.native import Native
+from lmpchain import InputError, Scene
 from lmpchain.trajectory.record import Cost
 
 TEXT = """[chain]
@@ -84,18 +82,6 @@ def test_a_slip_is_rejected_with_its_remedy(tmp_path: Path, before: str, after: 
     assert "digit" not in str(refusal.value) or "digit" in message
 
 
-def test_options_that_an_engine_does_not_have(tmp_path: Path):
-    scene = scene_in(tmp_path, TEXT)
-    with pytest.raises(InputError, match=r"^step: the engine modes has no such option; it has no"):
-        simulate(scene, "modes", step=1e-8)
-    with pytest.raises(InputError, match=r"^engin: .* \(did you mean 'engine'\?\)"):
-        simulate(scene, engin="native")
-    with pytest.raises(InputError, match=r"^toleranc: .* \(did you mean 'tolerance'\?\)"):
-        simulate(scene, "native", toleranc=1e-3)
-    with pytest.raises(InputError, match=r"^threds: .* \(did you mean 'threads'\?\); it has integ"):
-        engines.get("native", threds=2)
-
-
 def test_numbers_of_steps_as_text():
     cost = Cost(0.0, 0.0, 0.0, 1, 3, 10, "rkn4", 1e-6, 1)
     assert cost.steps_over(1e-6) == "1 step of 1e-06 s"
@@ -104,11 +90,3 @@ def test_numbers_of_steps_as_text():
     # 233 steps of 1.563 us exceed 100 us, so the steps were adaptive.
     adaptive = cost._replace(steps=233, step_s=1.563e-6)
     assert adaptive.steps_over(1e-4) == "233 steps of 4.292e-07 s on average, 1.563e-06 s at most"
-
-
-def test_help_names_every_integrator(capsys: pytest.CaptureFixture[str]):
-    from lmpchain.cli.command_line import main
-
-    assert main(["run", "--help"]) == 0
-    shown = capsys.readouterr().out
-    assert all(name in shown for name in (*Native.integrators, *Lammps.integrators))

@@ -82,14 +82,12 @@ def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
     executor = Faulty(BrokenExecutor("dead"), 3)
     with pytest.warns(UserWarning, match="some scenes could not be solved") as warned:
         found = sweep(ASKED, tmp_path / "b", executor=executor)
-    text = (
-        "some scenes could not be solved this time; the first: the process that solved it died 3 "
-        "times"
-    )
+    died = "the process that solved it died 3 times"
+    text = f"some scenes could not be solved this time; the first: {died}"
     assert [str(each.message) for each in warned] == [text]
     assert executor.tried.count(2) == 3
     assert "gather" not in executor.tried
-    cause = "not done: the process that solved it died 3 times"
+    cause = f"not done: {died}"
     assert found.reason.values.tolist() == ["", "", cause, cause, "", "", ""]
 
 
@@ -105,10 +103,8 @@ def test_faults_of_the_machine_are_reported_and_repeated_later(tmp_path: Path, m
     executor = Faulty(OSError("full"), 0)
     assert (sweep(ASKED, tmp_path, executor=executor).reason == "").all()
     assert executor.tried == [2, "gather"]
-    assert (Bar.bars[1].options, Bar.bars[1].steps) == (
-        {"unit": " scenes", "done": 5, "shown": False},
-        [2],
-    )
+    assert Bar.bars[1].options == {"unit": " scenes", "done": 5, "shown": False}
+    assert Bar.bars[1].steps == [2]
     sweep(ASKED, tmp_path)
     assert Bar.bars[2].options["done"] == 7
     with pytest.warns(UserWarning, match="; the first: KeyError$"):
@@ -116,10 +112,8 @@ def test_faults_of_the_machine_are_reported_and_repeated_later(tmp_path: Path, m
 
 
 @pytest.mark.usefixtures("in_pairs")
-@pytest.mark.parametrize(("most", "workers"), [(1, 1), (3, 1), (256, 1)])
-def test_an_executor_has_a_limited_number_of_tasks(
-    most: int, workers: int, tmp_path: Path, monkeypatch: Any
-):
+@pytest.mark.parametrize("most", [1, 3, 256])
+def test_an_executor_has_a_limited_number_of_tasks(most: int, tmp_path: Path, monkeypatch: Any):
     counts: list[int] = []
     wait = run.wait
 
@@ -133,7 +127,8 @@ def test_an_executor_has_a_limited_number_of_tasks(
     assert max(counts) == min(most, 4)
     counts.clear()
     sweep(ASKED, tmp_path / "here")
-    assert max(counts) == 1, "in this process one after the other, so that Ctrl-C loses one at most"
+    # In this process tasks are executed one after the other, so that Ctrl-C loses one at most.
+    assert max(counts) == 1
 
 
 @pytest.mark.parametrize("workers", [0, -1, True, 1.0, "2", None])
@@ -299,22 +294,15 @@ def test_the_expected_time_of_many_scenes_is_extrapolated_from_some():
 
 
 def test_labels_cover_all_scenes():
-    recording = {
-        "recording.samples": [3, 5],
-        "recording.grains": [[5, 2], [2, 3]],
-        "chain.grains": [6, 9],
-    }
-    masses = {
-        "disorder": {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
-    }
-    plan = read_sweep({"scene": SCENE, "list": recording, **masses})
+    recording = {"recording.samples": [3, 5], "recording.grains": [[5, 2], [2, 3]]}
+    recording["chain.grains"] = [6, 9]
+    masses = {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
+    plan = read_sweep({"scene": SCENE, "list": recording, "disorder": masses})
     found = make_labels(plan)
     assert (found.samples, found.time, found.grains.tolist()) == (5, None, [2, 3, 5])
     assert found.extra["time"].shape == (5,)
-    assert (found.extra["time"].units, found.extra["time"].long_name) == (
-        "s",
-        "time since the strike",
-    )
+    time = found.extra["time"]
+    assert (time.units, time.long_name) == ("s", "time since the strike")
     assert found.extra["chain.masses"].shape == (9,)
     assert find_recorded(plan, (0, 1), 6).tolist() == [5, 2]
     assert find_recorded(plan, (1, 0), 9).tolist() == [2, 3]

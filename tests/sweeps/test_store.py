@@ -59,19 +59,9 @@ def test_the_layout_has_an_error_for_each_derived_number():
     extra = {"time": StoredArray(("sample",), (7,), "s", "")}
     made = make_layout(["velocity", "energy", "wall_force", "peak_force:3"], 9, 2, 7, 4, extra)
     shapes = {name: column.shape for name, column in made.columns.items()}
-    assert shapes == {
-        "time": (7,),
-        "velocity": (7, 4),
-        "energy": (7,),
-        "energy_error": (7,),
-        "wall_force": (),
-        "wall_force_error": (),
-        "peak_force_3": (),
-        "peak_force_3_error": (),
-        "model_error": (),
-        "solver_error": (),
-        "reason": (),
-    }
+    numbers = "wall_force wall_force_error peak_force_3 peak_force_3_error model_error solver_error"
+    over_time = {"time": (7,), "velocity": (7, 4), "energy": (7,), "energy_error": (7,)}
+    assert shapes == over_time | dict.fromkeys([*numbers.split(), "reason"], ())
     assert list(made.columns)[-1] == "reason"
     assert math.isnan(made.columns["velocity"].fill)
     assert (made.columns["reason"].fill, made.columns["reason"].dtype) == ("not done", str)
@@ -293,13 +283,8 @@ def test_a_name_and_a_key_depend_on_all_options():
     other_scene = SCENE | {"excitation": {"kind": "impulse", "velocity": 2e-4}}
     names = set()
     keys = set()
-    changes: list[dict[str, Any]] = [
-        {},
-        {"tolerance": 1e-5},
-        {"engine": "chebyshev"},
-        {"keep": ["velocity"]},
-    ]
-    for change in (*changes, {"scene": other_scene}):
+    changes: list[dict[str, Any]] = [{}, {"tolerance": 1e-5}, {"engine": "chebyshev"}]
+    for change in (*changes, {"keep": ["velocity"]}, {"scene": other_scene}):
         plan = read_sweep(base | change)
         names.add(plan.name)
         keys |= {plan.key(0), plan.key(1)}
@@ -308,14 +293,9 @@ def test_a_name_and_a_key_depend_on_all_options():
     assert (len(names), len(keys)) == (5, 10)
     assert read_sweep(base).key(0) == read_sweep(base | {"grid": {"chain.gravity": [1.0]}}).key(0)
     plan = read_sweep(base)
-    assert (plan.tolerance, plan.engine, plan.keep) == (
-        1e-6,
-        "native",
-        ["displacement", "velocity"],
-    )
-    with pytest.raises(
-        InputError, match="must be tables: a stored sweep does not refer to a scene file"
-    ):
+    assert (plan.tolerance, plan.engine) == (1e-6, "native")
+    assert plan.keep == ["displacement", "velocity"]
+    with pytest.raises(InputError, match="must be tables: a stored sweep does not refer to"):
         read_text(json.dumps({"scene": "scene.toml", "files": {}}), plan.folder)
 
 
@@ -331,13 +311,8 @@ def test_one_scene_for_each_value_is_tried_before_the_run():
 def test_32_draws_are_tried(monkeypatch: Any):
     """A sweep is rejected if none of the draws gives a valid scene."""
     law = {"low": -40.0, "high": 1.0}
-    plan = read_sweep(
-        {
-            "scene": SCENE,
-            "keep": ["wall_force"],
-            "random": {"draws": 400, "seed": 1, "chain.gravity": law},
-        }
-    )
+    draws = {"draws": 400, "seed": 1, "chain.gravity": law}
+    plan = read_sweep({"scene": SCENE, "keep": ["wall_force"], "random": draws})
     gravities = plan.axes[0].columns["chain.gravity"]
     first = int(np.flatnonzero(np.array(gravities) >= 0)[0])
     for sign, ok in (
@@ -356,15 +331,10 @@ def test_32_draws_are_tried(monkeypatch: Any):
 
 @pytest.mark.parametrize("grains", [0, -1, True, 2.0, "6", None, 10**8 + 1])
 def test_drawn_numbers_need_a_chain_with_this_number_of_grains(grains: Any):
-    chain = {
-        key: value
-        for key, value in (SCENE["chain"] | {"grains": grains}).items()
-        if value is not None
-    }
-    masses = {"chain.masses": {"low": 1e-6, "high": 2e-6}}
-    plan = read_sweep(
-        {"scene": SCENE | {"chain": chain}, "disorder": {"seed": 1, "realisations": 2} | masses}
-    )
+    keys = SCENE["chain"] | {"grains": grains}
+    chain = {key: value for key, value in keys.items() if value is not None}
+    law = {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
+    plan = read_sweep({"scene": SCENE | {"chain": chain}, "disorder": law})
     with pytest.raises(InputError, match=r"chain\.grains: must be a whole number from 1"):
         plan.grains((0,))
 
@@ -373,13 +343,10 @@ def test_a_sweep_of_several_shards(tmp_path: Path, monkeypatch: Any):
     from lmpchain.sweeps import tasks
 
     monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
-    whole = sweep(
-        {"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "one"
-    ).load()
+    asked = {"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}
+    whole = sweep(asked, tmp_path / "one").load()
     monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=1))
-    found = sweep(
-        {"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "many"
-    )
+    found = sweep(asked, tmp_path / "many")
     assert found.identical(whole)
     assert len(list((tmp_path / "many").glob("*/results.zarr/reason/c/*"))) == 2
     assert not list((tmp_path / "many").glob("*/parts/*"))
