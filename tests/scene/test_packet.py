@@ -1,25 +1,21 @@
 """Packets travel down at the group velocity, and are scattered as in theory."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from numpy.typing import NDArray
 
 from lmpchain import Chain, Law, Packet, Profile, Scene, simulate
 from lmpchain.measure import energy
 
 Array = NDArray[np.float64]
-SPRINGS = {
-    "diameter": 1e-3,
-    "gravity": 0.0,
-    "top_load": 1.0,
-    "exponent": 1.0,
-    "top": "wall",
-    "bottom": "wall",
-}
+WALLS = {"top": "wall", "bottom": "wall"}
 
 
-def uniform(grains: int = 400, **keys: object) -> Chain:
-    return Chain(**SPRINGS | {"grains": grains} | keys)
+def uniform(grains: int = 400, **keys: Any) -> Chain:
+    return column(grains, **WALLS | {"gravity": 0.0, "top_load": 1.0, "exponent": 1.0} | keys)
 
 
 def packet_at(grain: int, omega: float, width: float, amplitude: float) -> Packet:
@@ -162,10 +158,7 @@ def test_energy_flows_evenly_through_an_uneven_chain():
     x = np.linspace(-1, 1, 400)
     masses = 1e-6 * np.exp(0.5 * x)
     constants = 1e3 * np.exp(-0.8 * (x[:-1] + x[1:]) / 2)
-    chain = Chain(
-        **SPRINGS
-        | {"grains": 400, "masses": masses, "contact_constants": constants, "top_load": 1e-2}
-    )
+    chain = uniform(masses=masses, contact_constants=constants, top_load=1e-2)
     omega = 3e4
     width = 20.0
     middle = 190
@@ -198,11 +191,8 @@ def test_a_packet_that_does_not_fit_is_rejected():
         return list(Packet(**keys | changed).faults(of, 1e-3))
 
     assert not faults(grain=49)
-    (fault,) = faults(grain=48)
-    assert fault == (
-        "width",
-        "the packet extends 6 widths to either side and does not fit into the chain",
-    )
+    length = "the packet extends 6 widths to either side and does not fit into the chain"
+    assert faults(grain=48) == [("width", length)]
     assert not faults(grain=53)
     assert [key for key, _ in faults(grain=54)] == ["width"]
     held = uniform(101, bottom="fixed")
@@ -211,25 +201,19 @@ def test_a_packet_that_does_not_fit_is_rejected():
     assert faults(grain=102) == [("grain", "must be a grain that moves, 1 to 101 (got 102)")]
     assert faults(held, grain=101) == [("grain", "must be a grain that moves, 1 to 100 (got 101)")]
     vacuum = Chain(grains=101, diameter=1e-3, gravity=0.0)
-    assert faults(vacuum) == [
-        ("kind", "there are no linear waves without gravity and load: give a top_load")
-    ]
+    load = "there are no linear waves without gravity and load: give a top_load"
+    assert faults(vacuum) == [("kind", load)]
     grounded = chain.replace(ground=Law("k*u", k=1e3))
-    assert faults(grounded) == [
-        (
-            "chain.ground",
-            "a packet does not support a force from the ground: leave it out, or give a profile",
-        )
-    ]
+    cure = "a packet does not support a force from the ground: leave it out, or give a profile"
+    assert faults(grounded) == [("chain.ground", cure)]
     assert not faults(frequency=0.9999 * limit)
     heavy = uniform(101, impurity=[{"grain": 61, "mass": 2 * chain.masses[0]}])
     assert not faults(heavy, frequency=0.9999 * limit / np.sqrt(2))
     (fault,) = faults(heavy, frequency=1.0001 * limit / np.sqrt(2))
     text = f"must be below the cut-off frequency at grain 60, {limit / np.sqrt(2):.4g} Hz"
     assert fault == ("frequency", text)
-    assert not faults(
-        uniform(101, impurity=[{"grain": 99, "mass": 2 * chain.masses[0]}]), frequency=0.99 * limit
-    )
+    beyond = uniform(101, impurity=[{"grain": 99, "mass": 2 * chain.masses[0]}])
+    assert not faults(beyond, frequency=0.99 * limit)
 
 
 def test_part_and_scale():

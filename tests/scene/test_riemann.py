@@ -38,20 +38,9 @@ def test_piece_of_a_chain_has_the_same_step() -> None:
     step = Riemann(velocity=(0.3, 0), strain=(2e-4, 0), grain=5)
     whole = step.initial(LOADED)
     assert step.reach(LOADED) == (1, 5)
+    assert step.scaled(2.0).strain.tolist() == [4e-4, 0.0]
     for values, expected in zip(step.part(2, 9).initial(LOADED.part(2, 9)), whole, strict=True):
         assert values == pytest.approx(expected[1:9])
-
-
-def test_steps_and_pistons_in_scene_files(tmp_path) -> None:
-    """A scene file contains exactly what was written into it."""
-    step = Riemann(velocity=(0.3, 0), strain=(2e-4, 0), grain=5)
-    for excitation in (step, PISTON, PISTON.replace(grain=0)):
-        chain = LOADED.replace(top="wall")
-        scene = Scene(chain=chain, excitation=excitation, duration=1e-4)
-        path = tmp_path / "scene.toml"
-        scene.to_toml(path)
-        assert Scene.from_toml(path) == scene
-    assert step.scaled(2.0).strain.tolist() == [4e-4, 0.0]
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from lmpchain import (
     InputError,
     Material,
     Profile,
+    Riemann,
     Scene,
 )
 from lmpchain.cli.command_line import main
@@ -291,10 +292,12 @@ EXCITATIONS = {
     "displacement": Displacement(displacement=-1e-10 / 3, grain=np.int64(3)),
     "profile": Profile(displacement=np.array([1e-10, -1e-10 / 3, 0, 0])),
     "profile of both": Profile(displacement=[1e-10, 0, 0, 0], velocity=(0, 1e-6, 0.1e-6, 0)),
+    "step": Riemann(velocity=(1e-6 / 3, 0), strain=(2e-7, 0), grain=2),
 }
 DRIVES = {
     "sine": Drive(amplitude=-1e-10 / 3, frequency=np.float64(1e5) / 3),
-    "piston": Drive(times=[0, 1e-4], displacement=[0.0, 1e-9 / 3]),
+    "piston": Drive(shape="piston", velocity=1e-6 / 3, rise=1e-5),
+    "line": Drive(times=[0, 1e-4], displacement=[0.0, 1e-9 / 3]),
     "path": Drive(
         times=np.array([0, 1e-6 / 3, 2e-6, 4e-6]), displacement=(0, 1e-10, -1e-10 / 3, 0)
     ),

@@ -284,13 +284,18 @@ def test_a_name_and_a_key_depend_on_all_options():
     names = set()
     keys = set()
     changes: list[dict[str, Any]] = [{}, {"tolerance": 1e-5}, {"engine": "chebyshev"}]
-    for change in (*changes, {"keep": ["velocity"]}, {"scene": other_scene}):
+    changes += [{"keep": ["velocity"]}, {"scene": other_scene}]
+    for mean in (1.0, 1.0 + 1e-7):
+        law = {"mean": 62e9 * mean, "deviation": 1e9, "per_grain": True}
+        modulus = {"chain.material.youngs_modulus": law}
+        changes.append({"random": {"draws": 1, "seed": 1} | modulus})
+    for change in changes:
         plan = read_sweep(base | change)
         names.add(plan.name)
         keys |= {plan.key(0), plan.key(1)}
         assert read_text(plan.text, plan.folder).name == plan.name
         assert read_text(plan.text, plan.folder).key(1) == plan.key(1)
-    assert (len(names), len(keys)) == (5, 10)
+    assert (len(names), len(keys)) == (7, 14)
     assert read_sweep(base).key(0) == read_sweep(base | {"grid": {"chain.gravity": [1.0]}}).key(0)
     plan = read_sweep(base)
     assert (plan.tolerance, plan.engine) == (1e-6, "native")
