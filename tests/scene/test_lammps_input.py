@@ -149,8 +149,8 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
     ),
     "stops at both ends": (
         # Other forces may precede a stop, and those on other grains may follow it.
-        f"fix 6 all gravity 0 vector 1 0 0\n{HELD_TOP}\nset atom 3 x 0.0199997\nfix 7 t setforce 0 0 0\ngroup r id 2 3\n"
-        "fix 9 r gravity 0 vector 1 0 0",
+        f"fix 6 all gravity 0 vector 1 0 0\n{HELD_TOP}\nset atom 3 x 0.0199997\n"
+        "fix 7 t setforce 0 0 0\ngroup r id 2 3\nfix 9 r gravity 0 vector 1 0 0",
         {"top": "grain 1 is held", "hold": "grain 1 does not move: a drive of amplitude 0"},
         [0.0, *[STIFF * 1.5e-7**1.5] * 2, 0.0],
     ),

@@ -188,30 +188,39 @@ def test_a_data_file_alone_is_a_scene_of_a_material(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("up", [False, True])
-@pytest.mark.parametrize(("gravity", "load"), [(0.5, 0.0), (9.81, 0.3), (3.7, 2e-4), (0.0, 0.3)])
+@pytest.mark.parametrize(
+    ("gravity", "load", "count"),
+    [(0.5, 0.0, 8), (9.81, 0.3, 4), (3.7, 2e-4, 8), (0.0, 0.3, 8), (0.0, 0.3, 3)],
+)
 def test_positions_at_rest_give_gravity_load_and_direction(
-    gravity: float, load: float, up: bool, tmp_path: Path
+    gravity: float, load: float, count: int, up: bool, tmp_path: Path
 ) -> None:
-    """The force below grain n is the load and the weight of n grains; atom 1 is struck."""
+    """The force below grain n is the load and the weight of n grains.
+
+    The last grain is struck under gravity; otherwise the end that is struck is the top.
+    """
     mass = 2500 * math.pi / 6 * 1e-6
     stiffness = 4 / 3 * 1e9 / (2 * (1 - 0.09)) * math.sqrt(0.0025)
-    forces = load + gravity * mass * np.arange(1, 8)
+    forces = load + gravity * mass * np.arange(1, count)
     depth = np.concatenate([[0.0], np.cumsum(0.01 - (forces / stiffness) ** (2 / 3))])
     sign = -1.0 if up else 1.0
     rows = [f"{n} 1 0.01 2500 0 0 {sign * z!r}" for n, z in enumerate(depth.tolist(), 1)]
     path = tmp_path / "a.data"
-    speed = f"Velocities\n\n1 0 0 {sign * 0.01!r} 0 0 0\n"
+    struck = count if gravity else 1
+    speed = f"Velocities\n\n{struck} 0 0 {sign * 0.01!r} 0 0 0\n"
     path.write_text(PLAIN + atoms(rows) + speed, encoding="utf-8")
     found = understood(path, RunOptions(young=1e9, poisson=0.3, duration=1e-4))
     points = "up" if up else "down"
     facts = dict(found.facts)
-    assert facts["column"].startswith(f"8 grains along z, which points {points}: grain 1 is atom 1")
+    column = f"{count} grains along z, which points {points}: grain 1 is atom 1"
+    assert facts["column"].startswith(column)
+    assert ("too few contacts at rest to infer it" in facts["gravity"]) == (count == 3)
     scene = Scene(**found.fields)
     assert scene.chain.gravity == pytest.approx(gravity, rel=1e-7, abs=0)
     assert scene.chain.top_load == pytest.approx(load, rel=1e-5, abs=0)
     # The last grain is not known to be held, so that a wall must carry it.
     assert scene.chain.bottom == "wall"
-    assert scene.excitation == Impulse(velocity=0.01)
+    assert scene.excitation == Impulse(velocity=0.01, grain=struck)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -468,6 +468,13 @@ def test_every_excitation_describes_itself() -> None:
     assert [kind.of_chain for kind in kinds] == [False, False, False, True, True, False, True]
     assert [kind.driven for kind in kinds] == [0, 0, 0, 0, 0, 1, 0]
     assert Drive(**WAVE, grain=0).driven == 0
+    piston = Drive(shape="piston", velocity=-0.1, rise=1e-5)
+    for each, parameters in (
+        (drive, [1e-12, 3e4]),
+        (piston, [-0.1]),
+        (Drive(**POINTS), [0, 1e-12]),
+    ):
+        assert each.numbers.tolist() == parameters
     assert [kind.strike_velocity for kind in kinds] == [-2e-3, 0, 0, 0, 0, 0, 0]
     assert [kind.strikes_top for kind in kinds] == [False] * 7
     assert [kind.wall is not None for kind in kinds] == [False] * 7

@@ -25,17 +25,12 @@ LAWS: dict[str, dict[str, Any]] = {
 MATERIAL = [key for key in LAWS if "material" in key]
 ORDER = {"m": 5}
 UNTOLD = {"material", "diameter", "impurity"}
+WALLS = {"top": "wall", "bottom": "wall"}
 CHAINS: dict[str, dict[str, Any]] = {
     "column": {},
     "floor": {"bottom": "wall", "bottom_material": HARD},
-    "walls": {"top": "wall", "bottom": "wall", "top_load": 2.0, "top_material": HARD},
-    "wall constants": {
-        "top": "wall",
-        "bottom": "wall",
-        "wall_constants": [1e9, 3e9],
-        "gravity": 0.0,
-        "top_load": 1.0,
-    },
+    "walls": WALLS | {"top_load": 2.0, "top_material": HARD},
+    "wall constants": WALLS | {"wall_constants": [1e9, 3e9], "gravity": 0.0, "top_load": 1.0},
     "exponent": {"exponent": 2.0, "bottom": "wall"},
     "vacuum": {"gravity": 0.0, "bottom": "free"},
     "given": {
@@ -58,18 +53,8 @@ EXCITATIONS: dict[str, dict[str, Any]] = {
     "inner": {"kind": "impulse", "velocity": -2e-4, "grain": 5},
     "last": {"kind": "impulse", "velocity": 1e-4, "grain": 11},
     "displaced": {"kind": "displacement", "displacement": 1e-10, "grain": 3},
-    "profile": {
-        "kind": "profile",
-        "velocity": [1e-5] * 3 + [0.0] * 9,
-        "displacement": [1e-11] * 2 + [0.0] * 10,
-    },
-    "force": {
-        "kind": "force",
-        "shape": "half-sine",
-        "amplitude": 1e-3,
-        "duration": 1e-5,
-        "grain": 2,
-    },
+    "profile": {"kind": "profile", "velocity": [1e-5] * 3 + [0.0] * 9},
+    "force": {"kind": "force", "shape": "half-sine", "amplitude": 1e-3, "duration": 1e-5},
     "drive": {"kind": "drive", "amplitude": 1e-10, "frequency": 2e4},
 }
 
@@ -86,28 +71,19 @@ def asked(chain: str, excitation: str, disorder: dict[str, Any], **more: Any) ->
 def numbers(scene: Scene) -> dict[str, Any]:
     """Return all numbers of a scene and its chain, by name.
 
-    All but what chains made together do not say: their material, what they took from it, and
-    impurities.
+    Materials, impurities and given diameters are left out, because chains that are made together
+    have none.
     """
     chain = scene.chain
-    contacts = chain.contacts
-    fields = {name: getattr(chain, name) for name in Chain.arguments.keys() - UNTOLD}
-    derived = {
-        name: getattr(chain, name)
-        for name in ("masses", "diameters", "wall_constants", "band_edge")
-    }
-    names = ("constant", "force", "law", "exists", "pressed", "overlap", "stiffness")
-    held = {f"contacts.{name}": getattr(contacts, name) for name in names}
-    found = {name: getattr(scene, name) for name in ("duration", "samples", "grains", "quantities")}
-    found |= {"strike": scene.strike_number, "strain": scene.largest_strain}
-    found["fastest"] = scene.fastest_motion
-    found |= {"energy": scene.energy if not scene.excitation.does_work else 0.0}
-    found |= {
-        "excitation": scene.excitation,
-        "imposed": scene.imposed is None,
-        "cone": scene.light_cone,
-    }
-    return fields | derived | held | found
+    derived = {"masses", "diameters", "wall_constants", "band_edge"}
+    found = {name: getattr(chain, name) for name in (Chain.arguments.keys() - UNTOLD) | derived}
+    for name in ("constant", "force", "law", "exists", "pressed", "overlap", "stiffness"):
+        found[f"contacts.{name}"] = getattr(chain.contacts, name)
+    of_scene = ("duration", "samples", "grains", "quantities", "excitation", "light_cone")
+    for name in (*of_scene, "strike_number", "largest_strain", "fastest_motion"):
+        found[name] = getattr(scene, name)
+    found["imposed"] = np.array(scene.imposed)
+    return found | {"energy": 0.0 if scene.excitation.does_work else scene.energy}
 
 
 def alike(one: Any, other: Any) -> bool:
