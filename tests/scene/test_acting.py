@@ -82,11 +82,9 @@ def course(given: Any) -> Any:
     cycles = given.cycles
 
     def value(t: float) -> float:
-        hann = (
-            1.0
-            if cycles is None
-            else (1 - np.cos(2 * np.pi * f * t / cycles)) / 2 * (f * t < cycles)
-        )
+        if cycles is None:
+            return given.amplitude * np.sin(2 * np.pi * f * t)
+        hann = (1 - np.cos(2 * np.pi * f * t / cycles)) / 2 * (f * t < cycles)
         return given.amplitude * np.sin(2 * np.pi * f * t) * hann
 
     return value
@@ -99,12 +97,8 @@ def duhamel(given: Any, strength: float, times: Array, kinks: list[float]) -> tu
     largest = max(abs(f(t)) for t in np.linspace(0, times[-1], 101))
     for t in times:
         inside = [c for c in kinks if 0 < c < t] or None
-        options = {
-            "points": inside,
-            "epsabs": 1e-13 * abs(strength / OWN) * t * largest,
-            "epsrel": 1e-14,
-            "limit": 500,
-        }
+        options = {"points": inside, "epsrel": 1e-14, "limit": 500}
+        options["epsabs"] = 1e-13 * abs(strength / OWN) * t * largest
         sin, _ = quad(lambda s, t=t: f(s) * np.sin(OWN * (t - s)), 0, t, **options)
         cos, _ = quad(lambda s, t=t: f(s) * np.cos(OWN * (t - s)), 0, t, **options)
         found.append((strength / OWN * sin, strength * cos))

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 import lmpchain
 from lmpchain import Chain, Damping, Drive, Impulse, InputError, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import Reference, reference
-from lmpchain.measure import contact, energy, power, shock
+from lmpchain.measure import contact, energy, power
 
 SHAKEN = Drive(end="bottom", amplitude=3e-6, frequency=2000.0)
 PATH = Drive(end="bottom", times=[0, 2e-4, 4e-4, 6e-4], displacement=[0, -1e-6, 1e-6, 0])
@@ -271,22 +271,3 @@ def test_power_of_a_shaker_below(bottom: str) -> None:
     work = energy.ledger(run).drive
     mean = (work[-1] - work[2400]) / 0.1
     assert passed.input == pytest.approx(mean, rel=1e-3)
-
-
-def test_a_shock_from_below_is_the_mirror_image_of_one_from_above() -> None:
-    chain = Chain(grains=200, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
-    speed = 0.3 * float(chain.equilibrium_overlap[0]) / chain.time_scale
-    found = []
-    for way, drive in (
-        ("up", Drive(shape="piston", velocity=-speed, rise=1e-6, end="bottom")),
-        ("down", Drive(shape="piston", velocity=speed, rise=1e-6, grain=0)),
-    ):
-        scene = scene_of(chain, drive, 180 * chain.time_scale, 801)
-        found.append(shock.find(simulate(scene, "native", 1e-6), way))  # type: ignore[arg-type]
-    up, down = found
-    assert up.leading.speed == pytest.approx(down.leading.speed, rel=1e-9)
-    assert up.trailing.speed == pytest.approx(down.trailing.speed, rel=1e-6)
-    scene = scene_of(chain, Drive(shape="piston", velocity=-speed, rise=1e-6, end="bottom"), 1e-4)
-    run = simulate(scene, "native", 1e-6)
-    with pytest.raises(InputError, match='must be "up": the drive acts at the bottom'):
-        shock.find(run, "down")

@@ -67,9 +67,7 @@ def test_the_sign_of_a_drive_does_not_change_the_error_of_linear_theory() -> Non
     """A negative bound would make linear theory exact; it once occurred for upward drives."""
     for amplitude in (1e-12, 2e-9):
         down, up = (
-            expected_error(
-                scene_of(CHAIN, Drive(amplitude=sign * amplitude, frequency=1e4), 1e-4, 201)
-            )
+            expected_error(scene_of(CHAIN, Drive(sign * amplitude, 1e4), 1e-4, 201))
             for sign in (1, -1)
         )
         assert 0 < down <= 1

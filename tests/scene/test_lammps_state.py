@@ -179,6 +179,7 @@ def test_a_data_file_alone_is_a_scene_of_a_material(tmp_path: Path) -> None:
     assert scene.chain.contact_constants == pytest.approx(constants, rel=1e-12)
     assert scene.initial()[1].tolist() == [0.2] + 11 * [0.0]
     assert (scene.samples, scene.duration) == (7, 1e-4)
+    assert found.facts[0][0] == "column"
     assert dict(found.facts)["contacts"] == "Hertz, of E = 1e+09 Pa (given)"
     with pytest.raises(InputError, match="duration: is not in the run: give --duration"):
         understood(path, options._replace(duration=None))

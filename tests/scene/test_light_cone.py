@@ -8,7 +8,7 @@ from math import lgamma
 import numpy as np
 import pytest
 from helpers.example_chains import column, random_column
-from helpers.example_scenes import random_scene, scene_of
+from helpers.example_scenes import scene_of
 from helpers.independent_integrators import distance
 from scipy.special import ive
 
@@ -19,7 +19,6 @@ from lmpchain import (
     Impulse,
     Impurity,
     Profile,
-    Scene,
     engines,
     laws,
     simulate,
@@ -76,26 +75,6 @@ def test_omitted_grains_make_no_difference(name: str, tolerance: float):
     alone, whole = (simulate(scene, engine(**steps)) for engine in (engines.Native, Whole))
     assert alone.cost.active_grains < 400 < whole.cost.active_grains
     assert distance(alone, whole) < 1e-3 * tolerance + ROUNDING
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_random_scenes(rng: np.random.Generator, seed: int):
-    scene = random_scene(rng)
-    while scene.drive or scene.chain.grains < 20:
-        scene = random_scene(rng)
-    few = Scene(**scene.given() | {"duration": scene.duration / 20, "samples": 3})
-    first, last = find_reached(few)
-    step = few.duration / 64
-    if step * few.chain.band_edge > 0.5:
-        step = 0.5 / few.chain.band_edge
-    alone, whole = (
-        simulate(few, engine(integrator="rkn4", step=step)) for engine in (engines.Native, Whole)
-    )
-    outside = np.ones(few.chain.grains, bool)
-    outside[first - 1 : last] = False
-    assert distance(alone, whole) <= 1e-12
-    for other in (whole.displacement, whole.velocity):
-        assert np.abs(other[:, outside]).max(initial=0.0) <= 1e-12 * np.abs(other).max()
 
 
 def farthest(x: float) -> int:

@@ -193,20 +193,11 @@ def test_faults_of_walls_impurities_and_drives_are_reported_at_once(
         .replace(STRIKE, drive)
         .replace("samples = 11", "samples = 1")
     )
-    assert sorted(refused(file, capsys)) == [
-        "chain.bottom_material.poissons_ratio",
-        "chain.bottom_material.youngs_modulus",
-        "chain.impurity.0.diameter",
-        "chain.impurity.1.colour",
-        "chain.impurity.1.grain",
-        "chain.impurity.1.mass",
-        "chain.top",
-        "chain.top_material",
-        "excitation.frequency",
-        "excitation.mass",
-        "excitation.times",
-        "recording.samples",
-    ]
+    of_chain = "bottom_material.poissons_ratio bottom_material.youngs_modulus impurity.0.diameter "
+    of_chain += "impurity.1.colour impurity.1.grain impurity.1.mass top top_material"
+    others = ["excitation.frequency", "excitation.mass", "excitation.times", "recording.samples"]
+    keys = [f"chain.{key}" for key in of_chain.split()]
+    assert sorted(refused(file, capsys)) == [*keys, *others]
 
 
 def test_combined_faults_are_reported_at_once(file: Path, capsys: pytest.CaptureFixture[str]):

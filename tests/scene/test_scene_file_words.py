@@ -72,22 +72,19 @@ def test_a_faulty_table_is_named_with_its_line(table: str, said: str, tmp_path: 
 
 def test_missing_or_unnamed_tables(tmp_path: Path) -> None:
     ((key, text),) = faults(Scene.from_dict, GOOD | {"chain": {"file": "none.csv"}}, tmp_path)
-    assert (key, text) == (
-        "chain.file",
-        f"{tmp_path / 'none.csv'} cannot be read as CSV: No such file or directory",
-    )
-    assert faults(Scene.from_dict, GOOD | {"chain": {"file": 3}}, tmp_path) == [
-        ("chain.file", "must be the name of a CSV file")
-    ]
+    missing = f"{tmp_path / 'none.csv'} cannot be read as CSV: No such file or directory"
+    assert (key, text) == ("chain.file", missing)
     without = "a scene without a folder cannot name a file: give the numbers themselves"
-    assert faults(Scene.from_dict, GOOD | {"chain": {"file": "grains.csv"}}, None) == [
-        ("chain.file", without)
-    ]
+    for name, folder, said in (
+        (3, tmp_path, "must be the name of a CSV file"),
+        ("grains.csv", None, without),
+    ):
+        told = faults(Scene.from_dict, GOOD | {"chain": {"file": name}}, folder)
+        assert told == [("chain.file", said)]
     (tmp_path / "grains.csv").write_text("diameter,mass\n1e-3,1e-6\n2e-3,2e-6\n")
     for twice in ("diameter", "masses"):
-        found = faults(
-            Scene.from_dict, GOOD | {"chain": {"file": "grains.csv", twice: [1e-3, 1e-3]}}, tmp_path
-        )
+        table = {"file": "grains.csv", twice: [1e-3, 1e-3]}
+        found = faults(Scene.from_dict, GOOD | {"chain": table}, tmp_path)
         key = "mass" if twice == "masses" else twice
         assert found == [(f"chain.{key}", "is in the file already; remove it from one of them")]
 
@@ -139,15 +136,12 @@ def test_the_start_of_a_forcing_is_a_profile(tmp_path: Path) -> None:
         ({"file": 3}, "file", "must be the name of a CSV file"),
     ):
         found = faults(Scene.from_dict, GOOD | {"excitation": drive | {"start": wrong}}, tmp_path)
-        assert [(key, text[: len(said)]) for key, text in found][:1] == [
-            (f"excitation.start.{key}", said)
-        ]
+        assert found[0][0] == f"excitation.start.{key}"
+        assert found[0][1].startswith(said)
     grains = {"file": "start.csv", "taper": 0.1}
     ((key, text),) = faults(Scene.from_dict, GOOD | {"chain": grains}, tmp_path)
-    assert (key, text.partition(";")[0]) == (
-        "chain.taper",
-        "the file describes every grain already",
-    )
+    assert key == "chain.taper"
+    assert text.startswith("the file describes every grain already;")
 
 
 @pytest.mark.parametrize(
@@ -188,8 +182,6 @@ def test_tables_of_a_scene_contain_plain_values_and_names_of_materials() -> None
     assert tables["excitation"] == {"kind": "impulse", "velocity": 1e-6}
     assert tables["recording"] == {"duration": 1e-5, "grains": [1, 3]}
     start = Profile(velocity=[0.0, 1e-6, 0.0])
-    assert scene_of(chain, start, 1e-5).to_dict()["excitation"] == {
-        "kind": "profile",
-        "velocity": [0.0, 1e-6, 0.0],
-    }
+    table = {"kind": "profile", "velocity": [0.0, 1e-6, 0.0]}
+    assert scene_of(chain, start, 1e-5).to_dict()["excitation"] == table
     assert Scene.from_text(scene.to_text()) == scene

@@ -230,9 +230,8 @@ def test_profiles_are_read_from_columns(tmp_path: Path):
 def test_traces_of_several_places(tmp_path: Path):
     path = tmp_path / "scope.csv"
     path.write_text("Time,A,B\n(us),(mV),(mV)\n0,1,2\n1,3,4\n2,5,6\n")
-    traces = Traces.from_csv(
-        path, [4, 9], field="force", scale=[1.0, 2.0], offset=[1e-3, 0.0], trigger=True
-    )
+    options = {"scale": [1.0, 2.0], "offset": [1e-3, 0.0], "trigger": True}
+    traces = Traces.from_csv(path, [4, 9], field="force", **options)
     assert traces.trigger
     np.testing.assert_allclose(traces.time, [0, 1e-6, 2e-6])
     np.testing.assert_allclose(traces.values, [[0, 4e-3], [2e-3, 8e-3], [4e-3, 12e-3]])

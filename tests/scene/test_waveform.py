@@ -122,13 +122,8 @@ def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None
     assert area <= wave.area(duration) + slack
     assert path <= wave.path(duration) + slack
     assert wave.area(duration) <= abs(AMPLITUDE) * until * (1 + 1e-12)
-    whole = quad(
-        lambda t: abs(wave.at(t)),
-        0,
-        until,
-        points=turns[turns < until] if cycles is None else None,
-        limit=500,
-    )
+    points = turns[turns < until] if cycles is None else None
+    whole = quad(lambda t: abs(wave.at(t)), 0, until, points=points, limit=500)
     # The bound is exact at whole half periods, and exceeds the path by 1 at quarter periods.
     if cycles is None:
         assert wave.area(duration) <= whole[0] + 2 * abs(AMPLITUDE) / wave.omega
@@ -137,9 +132,8 @@ def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None
         if (4 * FREQUENCY * duration) % 1 == 0:
             assert wave.path(duration) == pytest.approx(path + abs(AMPLITUDE), rel=1e-5)
     else:
-        assert wave.path(duration) == pytest.approx(
-            abs(AMPLITUDE) * (3 + 4 * FREQUENCY * until), rel=1e-9
-        )
+        bound = abs(AMPLITUDE) * (3 + 4 * FREQUENCY * until)
+        assert wave.path(duration) == pytest.approx(bound, rel=1e-9)
         if share >= 1:
             assert wave.area(duration) == pytest.approx(abs(AMPLITUDE) * wave.end / 2, rel=1e-12)
 

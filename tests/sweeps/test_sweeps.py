@@ -183,15 +183,13 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, bottom, keys):
     assert (found.reason == "").all()
     numbers = {key: found[key].values[3].tolist() for key in keys}
     tables = scene | {"chain": dict(scene["chain"])}
+    glass = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
     for key, values in numbers.items():
         name, _, own = key.removeprefix("chain.").partition(".")
         before = tables["chain"].get(name)
-        glass = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
         each = before if isinstance(before, list) else [glass] * 12
-        made = (
-            [one | {own: value} for one, value in zip(each, values, strict=True)] if own else values
-        )
-        tables["chain"][name] = made
+        changed = [one | {own: value} for one, value in zip(each, values, strict=True)]
+        tables["chain"][name] = changed if own else values
     alone = simulate(Scene.from_dict(tables), "native")
     assert np.array_equal(found.velocity[3], alone.velocity)
     assert found.solver_error[3] == alone.error_estimate.solver
@@ -369,9 +367,8 @@ def test_the_example(tmp_path, capsys):
     arrival = load_sweep(tmp_path).arrival_time.sel(grain=5).transpose("chain.gravity", ...).values
     gravity = np.array(GRAVITIES)[:, None, None]
     assert np.isfinite(arrival).all()
-    assert arrival * gravity ** (1 / 6) == pytest.approx(
-        np.tile(arrival[0] * 1.62 ** (1 / 6), (3, 1, 1)), rel=5e-3
-    )
+    expected = np.tile(arrival[0] * 1.62 ** (1 / 6), (3, 1, 1))
+    assert arrival * gravity ** (1 / 6) == pytest.approx(expected, rel=5e-3)
 
 
 def test_arrays_are_read_on_use(tmp_path):
@@ -562,17 +559,6 @@ def test_folders_without_a_sweep(tmp_path):
     one.write_bytes(bytes(one.stat().st_size))
     with pytest.raises(InputError, match="velocity: is damaged"):
         load_sweep(tmp_path).velocity.load()
-    metadata = next(tmp_path.glob("*/results.zarr/velocity/zarr.json"))
-    whole = metadata.read_text()
-    for wrong in (
-        whole[:-9],
-        whole.replace('"zstd"', '"pickle"'),
-        whole.replace('"zarr_format": 3', '"zarr_format": 2'),
-    ):
-        metadata.write_text(wrong)
-        with pytest.raises(InputError, match="is damaged"):
-            load_sweep(tmp_path)
-    metadata.write_text(whole)
     options = next(tmp_path.glob("*/sweep.json"))
     for text, fault in (("[1]", "cannot be read"), ("{", "cannot be read"), ("{}", "is missing")):
         options.write_text(text)
@@ -866,12 +852,10 @@ def test_many_scenes_soak(tmp_path):
                     )
             time.sleep(0.05)
         assert "10000 of 10000" in process.communicate()[0]
-    memory, files = np.array(
-        [each for count, each in seen if count < 9900 and len(each) == 3]
-    ).T  # Shape (3, T).
+    early = [each for count, each in seen if count < 9900 and len(each) == 3]
+    memory, files = np.array(early).T  # Shape (3, T).
     part = memory.shape[1] // 3
-    assert (
-        memory[:, -part:].min(1) - memory[:, :part].min(1) < 8e6
-    ).all()  # Memory varies with the batches.
+    # Memory varies with the batches.
+    assert (memory[:, -part:].min(1) - memory[:, :part].min(1) < 8e6).all()
     assert (files[:, -part:].min(1) <= files[:, :part].min(1)).all()
     assert np.isfinite(load_sweep(tmp_path / "out").peak_velocity).all()
