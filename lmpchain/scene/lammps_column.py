@@ -257,7 +257,7 @@ class RunColumn:
         if np.ptp(grains.positions[:, self.axis]) == 0:
             raise self._refuse("has all grains at one place")
         # Bonded grains may have no diameters.
-        spacing = np.ptp(grains.positions[:, self.axis]) / len(grains.numbers)
+        spacing = np.ptp(grains.positions[:, self.axis]) / (len(grains.numbers) - 1)
         diameter = grains.diameters.min(where=grains.diameters > 0, initial=spacing)
         slack = max(BESIDE * diameter, grains.slack)
         beside = np.abs(grains.positions - np.median(grains.positions, axis=0))[:, across].max(1)

@@ -128,7 +128,8 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
         [0.0, 1 + WEIGHT, 1 + 2 * WEIGHT, 0.0],
     ),
     "a wall far away": (
-        f"{WALL} -0.00551 NULL",
+        # The limits are 1e-9 of the largest speed and 1e-6 of the diameter.
+        f"{WALL} -0.00551 NULL\nset atom 2 vy 0.9e-10 y 0.9e-8",
         {"wall at -0.00551": "ignored: its nearest grain is 0.00051 m away", "top": "free"},
         [0.0] * 4,
     ),
@@ -160,6 +161,22 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
         [0.0] * 4,
     ),
 }
+
+
+def test_overlaps_within_a_millionth_of_rest_are_at_rest(tmp_path: Path) -> None:
+    """The lower contact, and the floor in a second input, differ from rest."""
+    upper, lower, floor = (squeezed(n * WEIGHT, STIFF) for n in (1, 2, 3))
+    floor *= (STIFF / WALL_STIFF) ** (2 / 3)
+    for ends, place in ((GRAVITY, 0), (f"{LET_GO}\n{GRAVITY}\n{WALL} NULL {{}}", 1)):
+        for offset, rest in ((0.0, True), (0.9e-6, True), (-0.9e-6, True), (1.1e-6, False)):
+            second = 0.01 - upper
+            third = second + 0.01 - lower * (1 + offset * (place == 0))
+            wall = third + 0.005 - floor * (1 + offset)
+            lines = f"set atom 2 x {second!r}\nset atom 3 x {third!r}\n{ends.format(repr(wall))}"
+            excitation = read(tmp_path, START.replace("timestep", f"{lines}\ntimestep")).fields[
+                "excitation"
+            ]
+            assert (excitation == Impulse(velocity=0.1)) == rest
 
 
 def test_grains_that_touch_between_held_ends_have_no_load(tmp_path: Path) -> None:
@@ -358,9 +375,9 @@ REFUSED = {  # Lines that are added before the run, and a part of the message.
     ),
     "fix 1 bears nve": "uses the group bears, which is not def",
     "group beads region box": "uses the group beads, which is not",
-    "create_atoms 1 single 0 0.005 0": "is 0.005 m beside the line",
     "create_atoms 1 random 20 1 NULL": "places grains that are not read",
-    "set atom 2 vz 0.01": "atom 2 moves sideways at 0.01 m/s",
+    "set atom 2 vy 1.1e-10": "atom 2 moves sideways at 1.1e-10 m/s",
+    "set atom 2 y 1.1e-8": "atom 2 is 1.1e-08 m beside the line of the other grains along x",
     "set atom 2 omega 1": "sets omega, which is not read",
     "velocity all create 300 1": "gives velocities that are not read",
     "set atom 3 vx 1.0": "atom 3 is held but has a velocity",
@@ -895,6 +912,19 @@ def test_rest_lengths_of_bonds_are_distances_of_touching_grains(
     assert chain.law.force(-2e-4, chain.contact_constants) == pytest.approx(
         np.array([1000.0, 1400.0, 1200.0]) * mass * -2e-4, rel=1e-12
     )
+
+
+def test_bonded_spheres_keep_diameters_that_agree_with_their_bonds(tmp_path: Path) -> None:
+    text = bonds("si", [0.01, 0.012, 0.011]).replace("style bond", "style hybrid sphere bond")
+    for last, kept in ((0.009, True), (0.0091, False)):
+        sizes = [0.009, 0.011, 0.013, last]
+        lines = [f"set atom {n} diameter {d} density 2500" for n, d in enumerate(sizes, 1)]
+        spheres = text.replace("mass 1 1e-3", "\n".join(lines))
+        chain = read(tmp_path, spheres).fields["chain"]
+        assert (chain.diameters.tolist() == sizes) == kept
+        assert chain.contact_lengths[1:-1] == pytest.approx([0.01, 0.012, 0.011], rel=1e-12)
+        masses = 2500 * math.pi / 6 * np.array(sizes) ** 3
+        assert chain.masses == pytest.approx(masses, rel=1e-13)
 
 
 @pytest.mark.parametrize(

@@ -188,6 +188,29 @@ def test_a_data_file_alone_is_a_scene_of_a_material(tmp_path: Path) -> None:
     assert understood(path, options._replace(samples=None)).fields["samples"] == 101
 
 
+BEAD = 2500 * math.pi / 6 * 1e-6
+
+
+def beads(
+    folder: Path,
+    forces: np.ndarray,
+    speeds: dict[int, float],
+    sign: float = 1.0,
+    fourth: float = 2500.0,
+) -> Understood:
+    """Return the scene of beads along z with these forces, speeds, and density of grain 4."""
+    stiffness = 4 / 3 * 1e9 / (2 * (1 - 0.09)) * math.sqrt(0.0025)
+    depth = np.concatenate([[0.0], np.cumsum(0.01 - (forces / stiffness) ** (2 / 3))])
+    rows = [
+        f"{n} 1 0.01 {fourth if n == 4 else 2500.0!r} 0 0 {sign * z!r}"
+        for n, z in enumerate(depth.tolist(), 1)
+    ]
+    moving = "".join(f"{n} 0 0 {sign * speed!r} 0 0 0\n" for n, speed in speeds.items())
+    path = folder / "a.data"
+    path.write_text(f"{PLAIN}{atoms(rows)}Velocities\n\n{moving}", encoding="utf-8")
+    return understood(path, RunOptions(young=1e9, poisson=0.3, duration=1e-4))
+
+
 @pytest.mark.parametrize("up", [False, True])
 @pytest.mark.parametrize(
     ("gravity", "load", "count"),
@@ -200,17 +223,9 @@ def test_positions_at_rest_give_gravity_load_and_direction(
 
     The last grain is struck under gravity; otherwise the end that is struck is the top.
     """
-    mass = 2500 * math.pi / 6 * 1e-6
-    stiffness = 4 / 3 * 1e9 / (2 * (1 - 0.09)) * math.sqrt(0.0025)
-    forces = load + gravity * mass * np.arange(1, count)
-    depth = np.concatenate([[0.0], np.cumsum(0.01 - (forces / stiffness) ** (2 / 3))])
-    sign = -1.0 if up else 1.0
-    rows = [f"{n} 1 0.01 2500 0 0 {sign * z!r}" for n, z in enumerate(depth.tolist(), 1)]
-    path = tmp_path / "a.data"
+    forces = load + gravity * BEAD * np.arange(1, count)
     struck = count if gravity else 1
-    speed = f"Velocities\n\n{struck} 0 0 {sign * 0.01!r} 0 0 0\n"
-    path.write_text(PLAIN + atoms(rows) + speed, encoding="utf-8")
-    found = understood(path, RunOptions(young=1e9, poisson=0.3, duration=1e-4))
+    found = beads(tmp_path, forces, {struck: 0.01}, -1.0 if up else 1.0)
     points = "up" if up else "down"
     facts = dict(found.facts)
     column = f"{count} grains along z, which points {points}: grain 1 is atom 1"
@@ -222,6 +237,30 @@ def test_positions_at_rest_give_gravity_load_and_direction(
     # The last grain is not known to be held, so that a wall must carry it.
     assert scene.chain.bottom == "wall"
     assert scene.excitation == Impulse(velocity=0.01, grain=struck)
+
+
+def test_small_deviations_from_rest_and_from_one_density_have_limits(tmp_path: Path) -> None:
+    """Forces scatter by 1 %, slow grains move by 1e-6 of the wave, and masses differ by 5e-6."""
+    forces = np.full(7, 0.3)
+    for place, offset, speed, load in (
+        (3, 0.0095, 0.0, 0.3 * (1 + 0.0095 / 6)),
+        (3, 0.0105, 0.0, None),
+        (3, 0.5, 0.9e-8, None),
+        (3, 0.5, 1.1e-8, 0.3),
+    ):
+        forces[place] = 0.3 * (1 + offset)
+        speeds = {1: 0.01, place + 1: speed}
+        if load is None:
+            with pytest.raises(InputError, match="its first frame is not at rest, so its overlaps"):
+                beads(tmp_path, forces, speeds)
+            continue
+        chain = beads(tmp_path, forces, speeds).fields["chain"]
+        assert chain.top_load == pytest.approx(load, rel=1e-4 if offset < 0.1 else 1e-7)
+    forces[:] = 0.3
+    for excess, own in ((4.5e-6, False), (5.5e-6, True)):
+        chain = beads(tmp_path, forces, {1: 0.01}, fourth=2500 * (1 + excess)).fields["chain"]
+        assert ("masses" in chain.given()) == own
+        assert chain.masses[3] == pytest.approx(BEAD * (1 + excess * own), rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(3))
