@@ -151,7 +151,7 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
     "stops at both ends": (
         # Other forces may precede a stop, and those on other grains may follow it.
         f"fix 6 all gravity 0 vector 1 0 0\n{HELD_TOP}\nset atom 3 x 0.0199997\n"
-        "fix 7 t setforce 0 0 0\ngroup r id 2 3\nfix 9 r gravity 0 vector 1 0 0",
+        "fix 7 t setforce 0 0 0\ngroup r id 2 3 123456789012345678\nfix 9 r gravity 0 vector 1 0 0",
         {"top": "grain 1 is held", "hold": "grain 1 does not move: a drive of amplitude 0"},
         [0.0, *[STIFF * 1.5e-7**1.5] * 2, 0.0],
     ),
@@ -401,6 +401,7 @@ REFUSED = {  # Lines that are added before the run, and a part of the message.
     "velocity all set 0 0 0 temp t": "has options that are not read",
     "velocity all set 0 0": "gives velocities that are not read: use set",
     "group g id": "is too short",
+    "group g id 1234567890123456789": "has '1234567890123456789' in place of a whole number",
     "set atom 1:2:1:1 vx 0": "has a range that is not understood, '1:2:1:1'",
     "set atom 1*2*3 vx 0": "has a range that is not understood, '1*2*3'",
     "fix 9 all": "is too short",
@@ -505,15 +506,23 @@ def test_ends_that_touch_through_a_periodic_boundary_are_rejected(
 
 
 def test_files_that_are_no_inputs_are_rejected(tmp_path: Path) -> None:
-    for place, message in ((tmp_path, "cannot be read: "), (tmp_path / "a", "no such file")):
+    path = tmp_path / "in.own"
+    with path.open("wb") as huge:
+        huge.truncate(2**28 + 1)
+    for place, message in (
+        (tmp_path, "cannot be read: "),
+        (tmp_path / "a", "no such file"),
+        (path, "cannot be read: is larger than 256 MB"),
+    ):
         with pytest.raises(InputError, match=message):
             LammpsInput(place)
-    path = tmp_path / "in.own"
     path.write_bytes(b"units si\n\xff\xfe")
     with pytest.raises(InputError, match="is not text: name an input, a data file or a dump"):
         LammpsInput(path)
     for text, message in (
         ("units si\nrun 10 &", "line 2 is continued, but its end is not found"),
+        ("units si\nprint a" + 1002 * " &\n", "line 2 is continued, but its end is not found"),
+        ("units si\nprint a" + 1001 * " &\n", "places no grains that can be read"),
         ("units si\natom_style hybrid\n", r"line 2 \(atom_style hybrid\) must be sphere, bond"),
         ("units si\natom_style hybrid sphere bond\n", "places no grains that can be read"),
     ):
@@ -569,6 +578,19 @@ def test_fixes_act_on_the_members_that_their_groups_have_during_the_run(tmp_path
     assert read(tmp_path, START + more).fields["duration"] == pytest.approx(110e-7)
     with pytest.raises(InputError, match=r"line 18 .*is between the runs of lines 17 and 21"):
         read(tmp_path, f"{START}group beads id 3\n{more}")
+
+
+def test_variables_are_nested_to_a_depth_of_20(tmp_path: Path) -> None:
+    lines = ["variable a0 equal 1e-6"]
+    lines += [f"variable a{n} equal v_a{n - 1}/2" for n in range(1, 21)]
+    for deepest in (19, 20):
+        text = "\n".join([*lines, f"timestep v_a{deepest}"])
+        changed = START.replace("timestep 1e-7", text)
+        if deepest == 20:
+            assert "depend on each other" in refused(tmp_path, changed)
+        else:
+            duration = read(tmp_path, changed).fields["duration"]
+            assert duration == pytest.approx(1e-4 / 2**19, rel=1e-14)
 
 
 def test_a_variable_that_the_command_line_can_set_is_named(tmp_path: Path):

@@ -17,6 +17,7 @@ from lmpchain.scene.lammps_state import (
     RunGrains,
     fit_line,
     gravity_of,
+    is_data,
     load_between,
     mean_load,
 )
@@ -169,6 +170,9 @@ def test_a_data_file_alone_is_a_scene_of_a_material(tmp_path: Path) -> None:
     path = tmp_path / "a.data"
     path.write_text(tapered_data(), encoding="utf-8")
     options = RunOptions(young=1e9, poisson=0.3, duration=1e-4, samples=7)
+    # The first 40 lines are searched for the number of atoms.
+    for empty, data in ((38, True), (39, False)):
+        assert is_data("row\n" + empty * "\n" + " 12  atoms # of glass\n") == data
     found = understood(path, options)
     scene = Scene(**found.fields)
     sizes = 0.01 * 0.95 ** np.arange(12)

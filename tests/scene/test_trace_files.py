@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from data.make_traces import EXAMPLE, hammer, vibrometer
-from helpers.faults import faults
+from helpers.faults import fault_keys, faults
 from helpers.instrument_files import TIME, push, rows
 from scipy.interpolate import PchipInterpolator
 
@@ -200,11 +200,14 @@ def test_a_trigger_between_two_samples_is_interpolated(between: float, tmp_path:
     np.testing.assert_allclose(force.force, [begin, *values[later]])
     assert f"{int(between) + 2} rows before it dropped" in force.source
     # A sample within rounding errors of the trigger is at t = 0.
-    for first in (-1.0, -1.0 - 1e-9, -1.0 + 1e-9):
+    for first in (-1.0, -1.0 - 0.9e-6, -1.0 + 0.9e-6):
         force = Force(grain=1, file=path, trigger=first)
-        np.testing.assert_allclose(force.times, time + 1, rtol=0, atol=2e-9)
+        np.testing.assert_allclose(force.times, time + 1, rtol=0, atol=1e-6)
         assert (force.times[0], force.force.tolist()) == (0.0, values.tolist())
         assert "0 rows before it dropped" in force.source
+    beyond = Force(grain=1, file=path, trigger=-1.0 + 1.1e-6)
+    assert beyond.force[:2] == pytest.approx([1.1e-6, 1.0])
+    assert fault_keys(Force, file=path, trigger=-1.0 - 1.1e-6) == ["trigger"]
     # Measured values of a fit are only those of the file.
     traces = Traces.from_csv(path, [3], trigger=between)
     np.testing.assert_allclose(traces.time, time[later] - between)
@@ -303,7 +306,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [  # Content, options, and begi
     (PLAIN, {"every": 3}, "every: must be below 3, the number of samples"),
     (PLAIN, {"lowpass": 0.5}, "lowpass: must be below 0.5 Hz, half the"),
     (PLAIN, {"lowpass": 0.1}, "lowpass: needs more than"),
-    (f"t,F\n{ROWS}9,3\n", {"lowpass": 0.1}, "lowpass: needs evenly spaced"),
+    (f"t,F\n{ROWS}2.018,3\n", {"lowpass": 0.1}, "lowpass: needs more than"),
+    (f"t,F\n{ROWS}2.022,3\n", {"lowpass": 0.1}, "lowpass: needs evenly spaced"),
 ]
 
 
