@@ -392,7 +392,7 @@ def test_the_integral_of_a_forcing(wave: Waveform):
     assert wave.integral(0.0) == 0
 
 
-@pytest.mark.parametrize("kind", STRONG)
+@pytest.mark.parametrize("kind", thinned(STRONG, 2))
 def test_work_and_impulse_are_balanced(kind: str):
     """Energy is the work of the force or driver; momentum is its impulse, with load and walls."""
     t = simulate(scene_of(*STRONG[kind], LASTS, 4001), "native", 1e-9)
