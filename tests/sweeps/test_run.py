@@ -1,20 +1,22 @@
 """Executors of a sweep: parallel tasks, repetitions after faults, and messages."""
 
 import errno
+import logging
 import os
 import sys
 import warnings
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
+from multiprocessing import current_process
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
 from helpers.example_sweeps import SCENE
 from helpers.faults import faults
 
-from lmpchain import Chain, Impulse, InputError, Scene, engines, sweep
+from lmpchain import Chain, Impulse, InputError, RunFailed, Scene, engines, load_sweep, sweep
 from lmpchain.engines.cost_model import TooLong, budget, in_words
 from lmpchain.sweeps import run, store, tasks
 from lmpchain.sweeps.file import read_sweep
@@ -201,10 +203,14 @@ def test_dask_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch):
     made = ModuleType("distributed")
     vars(made)["Client"] = Client
     monkeypatch.setitem(sys.modules, "distributed", made)
+    loggers = [logging.getLogger(name) for name in ("distributed.worker", "tornado", "tornadoes")]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with run.dask("tcp://a:1") as executor:
             assert executor == "executor, pure False"
+    # Exceptions report failures, so that these libraries need not write messages.
+    quiet = [logger.getEffectiveLevel() == logging.CRITICAL for logger in loggers]
+    assert quiet == [True, True, False]
     assert asked == ["tcp://a:1", "closed"]
     monkeypatch.setattr(Client, "threads", {})
     missing = "the scheduler has no workers yet; start some: dask worker tcp://a:1 --nthreads 1"
@@ -214,6 +220,26 @@ def test_dask_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch):
     cure = r'scheduler: requires Dask: pip install "lmpchain\[cluster\]"'
     with pytest.raises(InputError, match=cure), run.dask("tcp://a:1"):
         pass
+
+
+def test_a_lost_scheduler_ends_the_sweep_and_keeps_its_results(tmp_path: Path) -> None:
+    lost = Here()
+    vars(lost)["_client"] = SimpleNamespace(status="closed")
+    with pytest.raises(RunFailed, match="connection to the Dask scheduler is lost"):
+        sweep(ASKED, tmp_path, executor=lost)
+    assert (load_sweep(tmp_path).reason == "").all()
+    vars(lost)["_client"].status = "running"
+    assert (sweep(ASKED, tmp_path, executor=lost).reason == "").all()
+
+
+def test_a_process_that_imports_the_script_of_its_parent_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python marks such a process; a sweep without processes is allowed there."""
+    monkeypatch.setattr(current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(SystemExit):
+        sweep(ASKED, tmp_path, workers=2)
+    assert (sweep(ASKED, tmp_path, workers=1).reason == "").all()
 
 
 def test_processes_that_cannot_start_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -315,6 +341,9 @@ def test_labels_cover_all_scenes():
     fewer = {"recording.grains": [[2, 5]], "chain.grains": [3, 6]}
     partly = make_labels(read_sweep({"scene": SCENE, "grid": fewer}))
     assert partly.grains.tolist() == [2, 5]
+    walled = SCENE | {"chain": SCENE["chain"] | {"top": "wall"}}
+    walled["recording"] = SCENE["recording"] | {"quantities": ["force:0"]}
+    assert make_labels(read_sweep(ASKED | {"scene": walled})).grains.tolist() == [1, 2, 3, 4, 5, 6]
     later = make_labels(read_sweep(ASKED | {"grid": {"recording.duration": [5e-6, 6e-6]}}))
     assert later.extra["time"].shape == (3,)
 

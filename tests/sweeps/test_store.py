@@ -296,6 +296,8 @@ def test_a_name_and_a_key_depend_on_all_options():
         assert read_text(plan.text, plan.folder).name == plan.name
         assert read_text(plan.text, plan.folder).key(1) == plan.key(1)
     assert (len(names), len(keys)) == (7, 14)
+    twice = read_sweep(base | {"keep": ["velocity", "displacement", "velocity"]})
+    assert twice.name == read_sweep(base).name
     assert read_sweep(base).key(0) == read_sweep(base | {"grid": {"chain.gravity": [1.0]}}).key(0)
     plan = read_sweep(base)
     assert (plan.tolerance, plan.engine) == (1e-6, "native")

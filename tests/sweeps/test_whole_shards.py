@@ -215,6 +215,10 @@ def test_a_sweep_json_of_a_user_is_preserved(tmp_path: Path, capsys: pytest.Capt
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"error: {tmp_path}/sweep.json: was not written by lmpchain: move it")
     assert (tmp_path / "sweep.json").read_text() == '{"mine": 1}'
+    # An empty file, and those of earlier versions, are replaced.
+    for text in ("", '{"format": 2, "results": "0123456789abcdef"}'):
+        (tmp_path / "sweep.json").write_text(text)
+        assert main(["sweep", f"{tmp_path}/sweep.toml", "-o", f"{tmp_path}", "--workers", "1"]) == 0
 
 
 def test_a_lock_of_a_user_is_preserved(tmp_path: Path):
