@@ -127,32 +127,6 @@ def test_a_packet_under_gravity():
     assert middle(t)[-1] == pytest.approx(600, abs=2)
 
 
-@pytest.mark.parametrize(
-    "engine", ["modes", "native", pytest.param("lammps", marks=pytest.mark.slow)]
-)
-def test_reflection_and_transmission(engine: str):
-    """An unequal mass transmits the packet average of 1 / (1 + (dm/m)^2 tan^2(q/2))."""
-    q0 = 1.2
-    width = 16.0
-    odd = 300
-    plain = uniform(600)
-    chain = uniform(600, impurity=[{"grain": odd, "mass": 1.8 * plain.masses[0]}])
-    omega = 2 / plain.time_scale * np.sin(q0 / 2)
-    packet = packet_at(170, omega, width, 1e-4 * plain.length_scale)
-    scene = Scene(
-        chain=chain, excitation=packet, duration=260 / np.cos(q0 / 2) * plain.time_scale, samples=2
-    )
-    found = energy.shares(simulate(scene, engine, 1e-6))
-    whole = found.part(1, 600)[0]
-    through = found.part(odd + 10, 600)[-1] / whole
-    back = found.part(1, odd - 10)[-1] / whole
-    q = q0 + np.linspace(-8, 8, 2001) / width
-    weight = np.exp(-((width * (q - q0)) ** 2))
-    expected = (weight / (1 + 0.8**2 * np.tan(q / 2) ** 2)).sum() / weight.sum()
-    assert through == pytest.approx(expected, abs=2e-4)
-    assert through + back == pytest.approx(1, abs=1e-5)
-
-
 def test_energy_flows_evenly_through_an_uneven_chain():
     """The product of m v^2 and the group velocity is constant along the packet."""
     x = np.linspace(-1, 1, 400)

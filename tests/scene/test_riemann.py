@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Drive, InputError, Riemann, Scene, simulate
-from lmpchain.integrators.observed_run import ImposedCourse
 
 
 def relative(values: np.ndarray, expected: np.ndarray) -> float:
@@ -79,15 +78,6 @@ def test_piston_needs_speed_and_rise() -> None:
         Drive(shape="piston", velocity=0.1)
     with pytest.raises(InputError, match="rise: corresponds to"):
         Drive(shape="piston", velocity=0.1, rise=1e-25)
-
-
-def test_derivative_by_the_speed_of_a_piston() -> None:
-    """The motion is proportional to the speed."""
-    course = ImposedCourse(PISTON)
-    time = np.array([3e-6, 8e-6, 5e-5])
-    weight = np.array([1.0, -2.0, 0.5])
-    assert course.pull(time, weight, 1) * 0.02 == pytest.approx(PISTON.motion(time)[1] @ weight)
-    assert course.push(time, np.ones((1, 1)), 0)[0] * 0.02 == pytest.approx(PISTON.motion(time)[0])
 
 
 def test_piston_in_lammps() -> None:

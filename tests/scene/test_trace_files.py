@@ -107,22 +107,12 @@ LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # Each layout contains the s
         "Segment,TrigTime,TimeSinceSegment1\n#1,13-Jul-2012 15:15:30,0\nTime,Ampl\n" + POINTS,
         {},
     ),
-    "Siglent": (
-        "Record Length,Analog:7000\nSample Interval,0.0000002\nVertical Units,CH1:V\n"
-        "Vertical Scale,CH1:0.5\nModel Number,SDS1202\nSource,CH1\nSecond,Volt\n" + POINTS,
-        {"scale": 1.0},
-    ),
     "Rigol, with times": ("Time(s),CH1(V),t0 =-6.0e-05, tInc = 2e-08,\n" + POINTS, {"scale": 1.0}),
     "Rohde and Schwarz": ("in s,CH1 in V\n" + POINTS, {"scale": 1.0}),
     "Tektronix, names": (
         "Model,MSO4034\nFirmware Version,2.48\n\nPoint Format,Y,\nHorizontal Units,S,\n"
         "Sample Interval,4e-09\nRecord Length,10000\nGating,0.0% to 100.0%\n"
         "Vertical Units,V\nLabel,,\nTIME,CH1\n" + POINTS,
-        {"scale": 1.0},
-    ),
-    "Yokogawa": (
-        '"Header Size","16"\n"VUnit","V"\n"HResolution","1.00E-06"\n"HOffset","-1.0E-06"\n'
-        '"HUnit","s"\n"TraceName","CH1"\n\n,0.5,\n,0.25,\n,0.75,\n,1,\n',
         {"scale": 1.0},
     ),
     "Yokogawa, microseconds": (
