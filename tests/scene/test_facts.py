@@ -93,9 +93,8 @@ def test_kinks_are_those_of_the_force_within_the_run() -> None:
     assert SCENES["struck"].kink_spacing == np.inf
     pushed = SCENES["pushed"]
     assert pushed.kinks == pytest.approx((1e-6, 3e-6, 7e-6, 2e-5))
-    assert pushed.kink_spacing == pytest.approx(
-        1e-6
-    )  # The smallest spacing is from t = 0 to the first kink.
+    # The smallest spacing is from t = 0 to the first kink.
+    assert pushed.kink_spacing == pytest.approx(1e-6)
     assert pushed.recorded.tolist() == [7, 3]
 
 

@@ -931,9 +931,8 @@ def test_rest_lengths_of_bonds_are_distances_of_touching_grains(
     assert chain.contact_lengths[1:-1] == pytest.approx(np.multiply(lengths, length), rel=1e-12)
     assert chain.diameters.min() > 0
     assert chain.masses == pytest.approx(1e-3 * mass, rel=1e-14)
-    assert chain.law.force(-2e-4, chain.contact_constants) == pytest.approx(
-        np.array([1000.0, 1400.0, 1200.0]) * mass * -2e-4, rel=1e-12
-    )
+    pull = -2e-4 * mass * np.array([1000.0, 1400.0, 1200.0])
+    assert chain.law.force(-2e-4, chain.contact_constants) == pytest.approx(pull, rel=1e-12)
 
 
 def test_bonded_spheres_keep_diameters_that_agree_with_their_bonds(tmp_path: Path) -> None:

@@ -137,9 +137,7 @@ def test_a_strike_after_the_first_frame_is_reported(tmp_path: Path):
 def test_a_change_within_the_dump_is_rejected(tmp_path: Path):
     later = LEVEL + "fix 9 beads viscous 1.0\nrun 1000\n"
     dump = run_input(tmp_path, later)
-    with pytest.raises(
-        InputError, match=r"\(fix 9 .*changes the run at step 3000, within the dump"
-    ):
+    with pytest.raises(InputError, match=r"\(fix 9 .*changes the run at step 3000, within the d"):
         scene_of_run([dump, tmp_path / "in.own"])
 
 
@@ -175,9 +173,7 @@ velocity all set 0 0 0
 
 def test_a_dump_with_few_digits_is_refused(tmp_path: Path):
     dump = run_input(tmp_path, LEVEL.replace("%.17g", "%.6g"))
-    with pytest.raises(
-        InputError, match=r"too few digits for overlaps of 1e-05 m: use dump_modify"
-    ):
+    with pytest.raises(InputError, match=r"too few digits for overlaps of 1e-05 m: use dump_"):
         scene_of_run([dump], RunOptions(material="steel", timestep=1e-7))
 
 
@@ -260,9 +256,7 @@ def test_an_instance_without_a_load_fix_has_no_load():
         scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
         assert (scene.chain.bottom, scene.chain.gravity, scene.samples) == ("fixed", 0.0, 101)
         lmp.command("fix push beads addforce 1 0 0")
-        with pytest.raises(
-            InputError, match="has fix addforce, whose effect cannot be read from LAMMPS"
-        ):
+        with pytest.raises(InputError, match="has fix addforce, whose effect cannot be read"):
             Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
         lmp.command("unfix push")
         lmp.command("pair_style gran/hooke 1e5 NULL 0 NULL 0 0")
@@ -280,9 +274,7 @@ def test_an_instance_has_the_forces_at_the_end_of_its_input(tmp_path: Path):
         scene = Scene.from_lammps(lmp, input=path, duration=1e-4)
         assert not scene.chain.damped
         path.write_text(f"{settled}run 10\n", encoding="utf-8")
-        with pytest.raises(
-            InputError, match=r"fixes of the instance, freeze, nve/sphere: name the"
-        ):
+        with pytest.raises(InputError, match="fixes of the instance, freeze, nve/sphere: name"):
             Scene.from_lammps(lmp, input=path, duration=1e-4)
         lmp.command("fix 9 beads viscous 0.5")
         assert Scene.from_lammps(lmp, input=path, duration=1e-4).chain.damped

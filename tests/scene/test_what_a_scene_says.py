@@ -131,9 +131,7 @@ def test_samples_and_durations_have_limits() -> None:
         assert fault_keys(acted_on, Impulse(velocity=1e-6), **keys) == [key]
     least = np.finfo(float).tiny
     assert acted_on(Impulse(velocity=1e-6), duration=10.001 * least).samples == 11
-    with pytest.raises(
-        InputError, match=r"11 samples in .* s are too close together for double precision"
-    ):
+    with pytest.raises(InputError, match=r"11 samples in .* s are too close together for double"):
         acted_on(Impulse(velocity=1e-6), duration=9.99 * least)
     assert struck(COLUMN, 1e-6, 1e-5).samples == 101
 
@@ -263,24 +261,21 @@ def test_strains_of_a_driven_linear_chain() -> None:
         Drive(**WAVE, grain=0, start=start),
     ):
         scene = acted_on(excitation, LOADED)
-        assert scene.linear_strain == pytest.approx(
-            springs_strain(LOADED, excitation, 1e-4), rel=1e-12
-        )
+        strain = springs_strain(LOADED, excitation, 1e-4)
+        assert scene.linear_strain == pytest.approx(strain, rel=1e-12)
     push = Force(grain=4, **WAVE | {"amplitude": -1e-9})
     impulse = 1e-9 * 2 / (2 * np.pi * 3e4) * 6  # Six arches in 100 us.
-    assert push.energy_norm(LOADED, 1e-4) == pytest.approx(
-        impulse / np.sqrt(LOADED.masses[3]), rel=1e-12
-    )
+    norm = impulse / np.sqrt(LOADED.masses[3])
+    assert push.energy_norm(LOADED, 1e-4) == pytest.approx(norm, rel=1e-12)
     k = LOADED.contacts.stiffness
     for grain in (0, 1):
         drive = Drive(**WAVE, grain=grain)
         path = 1e-12 * (1 + 12)
-        assert drive.energy_norm(LOADED, 1e-4) == pytest.approx(np.sqrt(k[grain]) * path, rel=1e-12)
+        norm = np.sqrt(k[grain]) * path
+        assert drive.energy_norm(LOADED, 1e-4) == pytest.approx(norm, rel=1e-12)
         begun = np.sqrt(LOADED.masses[3] * 1e-12 + (k[4] + k[5]) * 1e-24)
         moving = drive.replace(start=start)
-        assert moving.energy_norm(LOADED, 1e-4) == pytest.approx(
-            begun + np.sqrt(k[grain]) * path, rel=1e-12
-        )
+        assert moving.energy_norm(LOADED, 1e-4) == pytest.approx(begun + norm, rel=1e-12)
     touching = COLUMN.replace(top="wall")
     assert acted_on(Impulse(velocity=1e-9), touching).linear_strain == np.inf
     assert acted_on(Impulse(velocity=1e-9), COLUMN.replace(gravity=0.0)).linear_strain == np.inf
@@ -476,9 +471,8 @@ def test_every_excitation_describes_itself() -> None:
     assert [kind.strikes_top for kind in kinds] == [False] * 7
     assert [kind.wall is not None for kind in kinds] == [False] * 7
     assert Drive(**WAVE, grain=0).wall.amplitude == 1e-12
-    assert [kind.fastest for kind in kinds] == pytest.approx(
-        [0, 0, 0, 0, 0, 6e4 * np.pi, 6e4 * np.pi], rel=1e-14
-    )
+    omega = 6e4 * np.pi
+    assert [kind.fastest for kind in kinds] == pytest.approx([0] * 5 + [omega] * 2, rel=1e-14)
     assert [kind.kink_spacing for kind in kinds] == [np.inf] * 7
     assert Drive(**POINTS).kink_spacing == pytest.approx(1e-4, rel=1e-11)
     assert not Drive(**POINTS).linear
@@ -490,19 +484,13 @@ def test_every_excitation_describes_itself() -> None:
     ends = Profile(
         displacement=[0, 0, 1e-12, 0, 0, 0, 1e-12, 0, 0], velocity=[0, 1e-6, 0, 0, 0, 0, 0, 0, 0]
     )
-    assert [e.reach(COLUMN) for e in (impulse, profile, ends, drive)] == [
-        (2, 2),
-        (1, 1),
-        (2, 7),
-        (1, 1),
-    ]
+    reached = [each.reach(COLUMN) for each in (impulse, profile, ends, drive)]
+    assert reached == [(2, 2), (1, 1), (2, 7), (1, 1)]
     assert Drive(**WAVE, start=ends).reach(COLUMN) == (1, 7)
-    assert impulse.energy_norm(COLUMN, 1.0) == pytest.approx(
-        np.sqrt(COLUMN.masses[impulse.grain - 1]) * abs(impulse.velocity), rel=1e-12
-    )
-    assert drive.acceleration(np.array([1e-5])) == pytest.approx(
-        -1e-12 * (6e4 * np.pi) ** 2 * np.sin(6e4 * np.pi * 1e-5), rel=1e-12
-    )
+    norm = np.sqrt(COLUMN.masses[1]) * 2e-3
+    assert impulse.energy_norm(COLUMN, 1.0) == pytest.approx(norm, rel=1e-12)
+    bend = -1e-12 * omega**2 * np.sin(omega * 1e-5)
+    assert drive.acceleration(np.array([1e-5])) == pytest.approx(bend, rel=1e-12)
 
 
 # --- pictures and tables
@@ -522,9 +510,8 @@ def test_the_picture_of_a_forcing_shows_its_course_over_time() -> None:
         time = line.get_xdata()
         assert (time[0], time[-1]) == (0.0, 1e-4)
         assert time.size > 500
-        assert line.get_ydata() == pytest.approx(
-            1e-12 * np.sin(6e4 * np.pi * time), rel=1e-9, abs=1e-24
-        )
+        course = 1e-12 * np.sin(6e4 * np.pi * time)
+        assert line.get_ydata() == pytest.approx(course, rel=1e-9, abs=1e-24)
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", f"{name}, downward")
         axes.figure.canvas.draw()
         assert axes.xaxis.get_major_formatter()(1e-4).endswith("µs")
