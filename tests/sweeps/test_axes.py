@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +16,8 @@ from lmpchain.sweeps.axes import Axis, GrainLaw, Normal, Uniform, make_axes, mak
 def test_a_grid_has_an_axis_for_each_key():
     grid = {"chain": {"gravity": [1.0, 2.0]}, "excitation.velocity": np.array([1e-3, 2e-3, 3e-3])}
     first, second = make_axes({"grid": grid})
-    assert (first.name, first.length, len(first), dict(first.columns)) == (
-        "chain.gravity", 2, 2, {"chain.gravity": [1.0, 2.0]},
-    )  # fmt: skip
+    assert (first.name, first.length, len(first)) == ("chain.gravity", 2, 2)
+    assert first.columns == {"chain.gravity": [1.0, 2.0]}
     assert second.columns == {"excitation.velocity": [1e-3, 2e-3, 3e-3]}
     assert not first.drawn
     assert first.arrays == ()
@@ -54,10 +52,8 @@ def test_cases_have_equal_numbers_of_values():
     assert told == [("list.chain.top", "must have 2 values, as many as chain.gravity (got 1)")]
     nothing = "is empty: name a key, such as chain.gravity = [1.62, 9.81]"
     assert faults(make_axes, {"grid": {}}) == [("grid", nothing)]
-    assert (
-        faults(make_axes, {"grid": {"chain.gravity": []}})[0][1]
-        == "must be a list of one or more values"
-    )
+    told = faults(make_axes, {"grid": {"chain.gravity": []}})
+    assert told == [("grid.chain.gravity", "must be a list of one or more values")]
     assert faults(make_axes, {"grid": [1]}) == [("grid", "must be a table, [grid]")]
 
 
@@ -113,17 +109,11 @@ def test_the_number_of_scenes_is_limited_to_a_million(monkeypatch: pytest.Monkey
     assert told == [("grid", "8 scenes are too many: sweep at most 6")]
 
 
-@pytest.mark.parametrize(
-    "table", [{"random": {"draws": 10**6 + 1, "seed": 0}}, {"random": {"draws": 0, "seed": -1}}]
-)
-def test_numbers_of_draws_and_seeds_have_limits(table: dict[str, Any]):
+def test_numbers_of_draws_and_seeds_have_limits():
     ranges = {"chain.gravity": {"low": 1.0, "high": 2.0}}
-    keys = fault_keys(make_axes, {"random": table["random"] | ranges})
-    assert keys == [
-        f"random.{key}"
-        for key, value in table["random"].items()
-        if value not in (0,) or key == "draws"
-    ]
+    for draws, seed, wrong in ((10**6 + 1, 0, ["draws"]), (0, -1, ["draws", "seed"])):
+        keys = fault_keys(make_axes, {"random": {"draws": draws, "seed": seed} | ranges})
+        assert keys == [f"random.{key}" for key in wrong]
     assert make_axes({"random": {"draws": 1, "seed": 0} | ranges})[0].length == 1
 
 
@@ -210,9 +200,6 @@ def test_numbers_of_grains_depend_on_seed_scene_and_key():
         sequence = np.random.SeedSequence(7, spawn_key=(3, mark))
         expected = 1.0 + np.random.default_rng(sequence).random(9 - fewer)
         assert np.array_equal(GrainLaw(key, uniform, 7).values(3, 9), expected)
-    with pytest.raises(
-        InputError,
-        match=r"chain\.gravity: has no separate value for each grain: use one of chain\.masses",
-    ):
+    with pytest.raises(InputError, match=r"^chain\.gravity: has no separate value for each grain"):
         module.bind_laws({"chain.gravity": uniform}, 1)
     assert json.dumps(uniform.given()) == '{"low": 1.0, "high": 2.0}'

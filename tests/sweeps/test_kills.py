@@ -78,12 +78,8 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
 def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the same sweep on one process without interruptions."""
     folder = tmp_path_factory.mktemp("serial")
-    assert (
-        main(
-            ["sweep", str(long_sweep(folder, SCENES)), "-o", str(folder / "out"), "--workers", "1"]
-        )
-        == 0
-    )
+    words = ["sweep", str(long_sweep(folder, SCENES)), "-o", str(folder / "out")]
+    assert main([*words, "--workers", "1"]) == 0
     return folder / "out"
 
 

@@ -185,9 +185,8 @@ def test_names_of_forces_of_contacts():
 def test_laws_and_times_are_labelled(tmp_path: Path):
     disorder = {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
     disorder |= {"chain.contact_constants": {"low": 1e8, "high": 2e8}}
-    found = sweep(
-        {"scene": SCENE.to_dict(), "keep": ["wall_force"], "disorder": disorder}, tmp_path
-    )
+    asked = {"scene": SCENE.to_dict(), "keep": ["wall_force"], "disorder": disorder}
+    found = sweep(asked, tmp_path)
     masses = found["chain.masses"]
     constants = found["chain.contact_constants"]
     assert masses.shape == (2, 12)

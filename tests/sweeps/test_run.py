@@ -135,9 +135,8 @@ def test_an_executor_has_a_limited_number_of_tasks(most: int, tmp_path: Path, mo
 
 @pytest.mark.parametrize("workers", [0, -1, True, 1.0, "2", None])
 def test_workers_are_counted_from_1(workers: Any, tmp_path: Path):
-    assert faults(sweep, ASKED, tmp_path, workers=workers) == [
-        ("workers", f"must be a whole number from 1 (got {workers!r})")
-    ]
+    told = faults(sweep, ASKED, tmp_path, workers=workers)
+    assert told == [("workers", f"must be a whole number from 1 (got {workers!r})")]
 
 
 def test_executors_and_schedulers_of_other_types_are_rejected(tmp_path: Path):

@@ -165,12 +165,8 @@ def test_leftovers_of_killed_processes_are_removed(split: Any):
     np.savez(part_of(folder, 3), peak=np.zeros(3))  # A part of an existing shard.
     store.clean(folder, made)
     assert not any(path.exists() for path in left)
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "parts",
-        "results.zarr",
-        "shards",
-        "store.json",
-    ]
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"parts", "results.zarr", "shards", "store.json"}
     assert sorted(parts_of(folder)) == [6, 9]
     with pytest.raises(FileNotFoundError):
         store.join_parts(folder, made, 1)
@@ -263,11 +259,12 @@ def test_a_batch_is_a_positive_integer(tmp_path: Path, batch: Any):
 # --- places, keys and names
 
 
+GRID = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
+CUBE = {"scene": SCENE, "grid": GRID, "disorder": {"m": 2, "seed": 1, "realisations": 4}}
+
+
 def test_positions_follow_the_last_axis_first():
-    grid = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
-    plan = read_sweep(
-        {"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}}
-    )
+    plan = read_sweep(CUBE)
     assert (plan.shape, plan.count) == ((3, 2, 4), 24)
     places = [plan.place(number) for number in range(24)]
     assert places == [tuple(map(int, np.unravel_index(n, plan.shape))) for n in range(24)]
@@ -307,10 +304,7 @@ def test_a_name_and_a_key_depend_on_all_options():
 
 
 def test_one_scene_for_each_value_is_tried_before_the_run():
-    grid = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
-    plan = read_sweep(
-        {"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}}
-    )
+    plan = read_sweep(CUBE)
     tried = [(scene.chain.gravity, scene.excitation.velocity) for scene in plan.trials()]
     assert tried == [(1.0, 1e-4), (1.0, 2e-4), (2.0, 1e-4), (3.0, 1e-4)]
 

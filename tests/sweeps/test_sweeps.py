@@ -68,9 +68,8 @@ def test_a_cell_and_a_taper_are_swept() -> None:
     cells = [["steel", "pom"], ["steel", "ptfe"]]
     tapers = [0.0, 0.05]
     chain = {"grains": 6, "cell": cells[0], "diameter": 1e-3}
-    plan = read_sweep(
-        {"scene": SHORT | {"chain": chain}, "grid": {"chain": {"cell": cells, "taper": tapers}}}
-    )
+    grid = {"chain": {"cell": cells, "taper": tapers}}
+    plan = read_sweep({"scene": SHORT | {"chain": chain}, "grid": grid})
     assert plan.shape == (2, 2)
     for place in product(range(2), range(2)):
         widths = [1e-3 * (1 - tapers[place[1]]) ** n for n in range(6)]
@@ -254,22 +253,17 @@ def test_a_swept_key_may_be_missing_from_the_scene(tmp_path):
 def test_files_are_identified_by_their_contents(tmp_path):
     """A scene file and its CSV file are found beside the sweep file."""
     (tmp_path / "grains.csv").write_text("diameter\n" + "1e-3\n" * 8)
-    (tmp_path / "scene.toml").write_text(
-        '[chain]\nfile = "grains.csv"\n[excitation]\nkind = "impulse"\n[recording]\nduration = '
-        "2e-5\nsamples = 3\n"
-    )
-    (tmp_path / "sweep.toml").write_text(
-        'scene = "scene.toml"\n[grid]\nexcitation.velocity = [1e-4, 2e-4]\n'
-    )
+    scene = SHORT | {"chain": {"file": "grains.csv"}, "excitation": {"kind": "impulse"}}
+    (tmp_path / "scene.toml").write_text(tomli_w.dumps(scene))
+    begin = 'scene = "scene.toml"\n[grid]\n'
+    (tmp_path / "sweep.toml").write_text(f"{begin}excitation.velocity = [1e-4, 2e-4]\n")
     assert command_line(tmp_path / "sweep.toml", tmp_path / "out") == 0
     before = load_sweep(tmp_path / "out").displacement.load()
     (tmp_path / "grains.csv").write_text("diameter\n" + "2e-3\n" * 8)
     after = sweep(tmp_path / "sweep.toml", tmp_path / "out").displacement
     assert len(list((tmp_path / "out").glob("*/results.zarr"))) == 2
     assert (before[:, -1, 1] != after[:, -1, 1]).all()
-    (tmp_path / "sweep.toml").write_text(
-        'scene = "scene.toml"\n[grid]\nchain.file = ["more.csv", "none.csv"]\n'
-    )
+    (tmp_path / "sweep.toml").write_text(f'{begin}chain.file = ["more.csv", "none.csv"]\n')
     (tmp_path / "more.csv").write_text("diameter\n1e-3\n")
     found = read_sweep(tmp_path / "sweep.toml").source["files"]
     assert found.pop("none.csv") == ""
@@ -285,12 +279,10 @@ def test_traces_of_instruments_are_swept(tmp_path):
     (tmp_path / "start.csv").write_text("velocity\n" + "0\n" * 12)
     options = {"scale": 1e-6, "offset": 0.01, "trigger": 0.0, "start": {"file": "start.csv"}}
     excitation = {"kind": "drive", "file": "scope.csv"} | options
-    (tmp_path / "scene.toml").write_text(
-        tomli_w.dumps(SHORT | {"excitation": excitation}), encoding="utf-8"
-    )
-    (tmp_path / "sweep.toml").write_text(
-        'scene = "scene.toml"\n[grid]\nexcitation.scale = [1e-6, 2e-6]\n'
-    )
+    scene = tomli_w.dumps(SHORT | {"excitation": excitation})
+    (tmp_path / "scene.toml").write_text(scene, encoding="utf-8")
+    grid = 'scene = "scene.toml"\n[grid]\nexcitation.scale = [1e-6, 2e-6]\n'
+    (tmp_path / "sweep.toml").write_text(grid)
     found = sweep(tmp_path / "sweep.toml", tmp_path / "out")
     top = found.displacement.sel(grain=1).values
     np.testing.assert_allclose(top[:, -1], [3e-9, 6e-9], rtol=1e-12)
@@ -341,13 +333,9 @@ def test_the_grains_of_a_file_count_if_its_first_scene_is_invalid(tmp_path):
 
 def test_results_of_other_grains_are_not_reused(tmp_path):
     """Both sweeps have the same scene and arrays of the same shape, but of other grains."""
-    first, second = (
-        sweep(
-            {"scene": SHORT, "grid": {"recording.grains": [[2, 3], other]}, "keep": ["velocity"]},
-            tmp_path,
-        ).velocity.load()
-        for other in ([4, 5], [1, 6])
-    )
+    asked = {"scene": SHORT, "keep": ["velocity"]}
+    grids = ({"recording.grains": [[2, 3], other]} for other in ([4, 5], [1, 6]))
+    first, second = (sweep(asked | {"grid": grid}, tmp_path).velocity.load() for grid in grids)
     assert second.grain.values.tolist() == [1, 2, 3, 6]
     assert np.array_equal(second[0].sel(grain=[2, 3]), first[0].sel(grain=[2, 3]))
     assert np.isnan(second[0].sel(grain=[1, 6])).all()
