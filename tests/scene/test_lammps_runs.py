@@ -10,7 +10,8 @@ from helpers.own_inputs import COLUMN, INPUTS, LEVEL, TAPERED, run_input, silent
 from lmpchain import InputError, Scene, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
-from lmpchain.scene.lammps_column import RunOptions
+from lmpchain.scene.lammps_column import RunOptions, infer_scene
+from lmpchain.scene.lammps_object import grains_of
 from lmpchain.trajectory.lammps_dump import scene_of_run
 
 UNITS = {"cgs": "cgs", "dimer": "micro", "springs": "nano"}
@@ -248,6 +249,10 @@ def test_an_instance_without_a_load_fix_has_no_load():
     fixes = "fix             1 beads nve/sphere", "fix             2 ends freeze"
     text = text.replace("\n".join(fixes), f"{fixes[1]}\n{fixes[0].replace('beads', 'all')}")
     with silent_lammps(text) as lmp:
+        given = RunOptions(young=SOFT * 1e10, poisson=0.3, duration=1e-4)
+        facts = dict(infer_scene(grains_of(lmp), None, given).facts)
+        assert facts["gravity"] == "none (no fix gravity)"
+        assert facts["load"] == "none (no fix addforce on a grain)"
         scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
         assert (scene.chain.top, scene.chain.top_load, scene.chain.gravity) == ("free", 0.0, 0.0)
         # The overlaps of 1e-5 m push the grains apart.
