@@ -136,7 +136,7 @@ def _check_array(node: Path, array: dict[str, Any]) -> None:
     if dimensions[0] == "scene":
         inner = array["codecs"][0]["configuration"]["chunk_shape"]
         codecs = codec_names_in_shards(array["codecs"], tuple(inner))
-        usual &= _fits_shards(shape, chunk, inner) and array["fill_value"] == FILLS[kind]
+        usual &= _fits_shards(shape, chunk, inner) and array["fill_value"] == FILLS.get(kind)
     else:
         codecs = codec_names(array["codecs"])
         usual &= chunk == shape and _fits_file(shape, node)

@@ -39,6 +39,8 @@ def test_phase_decreases_with_the_square_of_the_amplitude() -> None:
         shift = found.phase[:, number] - found.linear_phase
         np.testing.assert_allclose(drawn, np.column_stack([found.frequency, shift]), rtol=1e-12)
     assert len(axes.containers) == 3
+    (line,) = (line for line in axes.get_lines() if line.get_label() == "linear")
+    assert set(line.get_ydata()) == {0.0}
     assert table["frequency [Hz]"].tolist() == np.repeat(found.frequency, 3).tolist()
     assert table["amplitude [m]"].tolist() == [1e-12, 1e-7, 2e-7] * 2
     assert table["phase [rad]"].tolist() == found.phase.ravel().tolist()

@@ -127,29 +127,50 @@ def older(folder: Path) -> None:
     (array / "0").write_bytes(pickle.dumps(np.zeros(3, dtype=object)))
 
 
+SEALED = "coordinates or descriptions were changed"
+WAY = "wall_force is stored in a way that lmpchain does not use"
+CHUNKS = "wall_force has chunks that lmpchain does not use"
+CODECS = "it is stored with codecs that lmpchain does not use"
+METADATA: list[tuple[tuple[Any, ...], Any, str]] = [  # Place, another value, and the fault.
+    (("node_type",), "group", WAY),
+    (("storage_transformers",), [{"name": "other"}], WAY),
+    (("extension",), {}, WAY),
+    (("data_type",), "object", "has a type of data that lmpchain does not use"),
+    (("data_type",), "int64", CHUNKS),
+    (("fill_value",), 0.0, CHUNKS),
+    (("shape",), [10**12], SEALED),
+    (("shape",), [], "has a shape that lmpchain does not use"),
+    (("shape",), [-3], "has a shape that lmpchain does not use"),
+    (("shape",), ["3"], "has a shape that lmpchain does not use"),
+    (("shape",), [3, 3], "has a shape that lmpchain does not use"),
+    (("attributes",), {"units": {}, "long_name": ""}, "has labels that lmpchain does not use"),
+    (("dimension_names",), ["scene", "scene"], "has a shape that lmpchain does not use"),
+    (("dimension_names",), [3], "has labels that lmpchain does not use"),
+    (("chunk_key_encoding", "configuration", "separator"), "../", CHUNKS),
+    (("chunk_grid", "configuration", "chunk_shape"), [10**9], SEALED),
+    (("chunk_grid", "name"), "other", CHUNKS),
+    ((*SHARDS, "chunk_shape"), [0], CHUNKS),
+    ((*SHARDS, "index_location"), "start", "its shards differ from those that lmpchain writes"),
+    (INNER, [{"name": "numcodecs.pickle"}], CODECS),
+    ((*INNER, 1, "name"), "numcodecs.zlib", CODECS),
+    ((*INNER, 1, "configuration", "strange"), 1, "its codecs have options that lmpchain does not"),
+]
+
+
+@pytest.mark.parametrize(("place", "value", "fault"), METADATA)
+def test_metadata_not_written_by_lmpchain_are_named(
+    folder: Path, place: tuple[Any, ...], value: Any, fault: str
+) -> None:
+    changed("wall_force", *place, to=value)(folder)
+    with pytest.raises(InputError, match=rf"results\.zarr: is damaged \(.*{fault}"):
+        load_sweep(folder)
+
+
 @pytest.mark.parametrize(
     "tamper",
     [
         older,
         changed("wall_force", "zarr_format", to=2),
-        changed("wall_force", "node_type", to="group"),
-        changed("wall_force", "data_type", to="object"),
-        changed("wall_force", "data_type", to="int64"),
-        changed("wall_force", "fill_value", to=0.0),
-        changed("wall_force", "shape", to=[10**12]),
-        changed("wall_force", "shape", to=[-3]),
-        changed("wall_force", "shape", to=["3"]),
-        changed("wall_force", "storage_transformers", to=[{"name": "other"}]),
-        changed("wall_force", "extension", to={}),
-        changed("wall_force", "chunk_key_encoding", "configuration", "separator", to="../"),
-        changed("wall_force", "chunk_grid", "configuration", "chunk_shape", to=[10**9]),
-        changed("wall_force", *SHARDS, "chunk_shape", to=[0]),
-        changed("wall_force", *SHARDS, "index_location", to="start"),
-        changed("wall_force", *INNER, to=[{"name": "numcodecs.pickle"}]),
-        changed("wall_force", *INNER, 1, "name", to="numcodecs.zlib"),
-        changed("wall_force", *INNER, 1, "configuration", "strange", to=1),
-        changed("wall_force", "dimension_names", to=["scene", "scene"]),
-        changed("wall_force", "attributes", to={"units": {}, "long_name": ""}),
         changed("velocity", "shape", to=[3, 5, 6]),
         changed("reason", "data_type", to="float64"),
         changed("grain", "shape", to=[10**10]),
