@@ -95,7 +95,10 @@ def _from_run(arguments: argparse.Namespace, path: Path) -> int:
     from ..scene.scene import Scene
     from ..trajectory.dump_frames import is_dump
     from ..trajectory.lammps_dump import scene_of_run
+    from ..util.files import expanded
 
+    if path.resolve() in [expanded(run).resolve() for run in arguments.run]:
+        raise InputError.at(str(path), "is a file of the run itself: name another file")
     options = RunOptions(**{key: getattr(arguments, key) for key in RunOptions._fields})
     understood = scene_of_run(arguments.run, options, arguments.units)
     scene = Scene(**understood.fields)

@@ -67,17 +67,12 @@ def test_the_command_writes_a_scene_that_check_accepts(tmp_path: Path, capsys):
     assert main(["check", str(dump), "--scene", str(scene), "--tolerance", "1e-6"]) == 0
 
 
-def test_a_file_is_replaced_only_with_force(tmp_path: Path, capsys):
-    run_input(tmp_path, TAPERED)
-    scene = tmp_path / "scene.toml"
-    scene.write_text("mine", encoding="utf-8")
-    command = ["new", str(scene), "--from", str(tmp_path / "in.own")]
-    assert main(command) == 2
-    assert scene.read_text(encoding="utf-8") == "mine"
-    assert main([*command, "--force"]) == 0
-    assert Scene.from_toml(scene).chain.grains == 12
-    # A source is not replaced even with --force.
-    assert main(["new", str(tmp_path / "in.own"), "--from", str(tmp_path / "in.own")]) == 2
+def test_a_file_of_the_run_is_not_replaced_even_with_force(tmp_path: Path, capsys) -> None:
+    run_input(tmp_path, TAPERED, "in.toml")
+    path = tmp_path / "in.toml"
+    assert main(["new", str(path), "--from", str(path), "--force"]) == 2
+    assert "is a file of the run itself: name another file" in capsys.readouterr().err
+    assert path.read_text(encoding="utf-8") == TAPERED
 
 
 CASES: dict[str, tuple[str, RunOptions, str | None]] = {
