@@ -343,72 +343,40 @@ def test_the_external_force_of_drives_and_forces(rng: np.random.Generator) -> No
 
 POINTS = {"times": [0.0, 1e-4], "displacement": [0.0, 1e-12]}
 SWIFT = "rad/s, which is too fast to compute: use SI units"
+WAYS = "amplitude and frequency, with or without cycles, or times and"
+SPACED = "times: must be 0 or more, and increase by more than 1e-12 of the last"
+BEGIN = "displacement: must begin with 0, the position of"
+CLOSE = {"times": [0.0, 0.99e-16, 1e-4], "displacement": [0.0, 0.0, 0.0]}
+HALF_SINE = {"shape": "half-sine", "amplitude": 1e-12}
+ALONE = {"amplitude": 1e-12}
 PATH: dict[str, Any] = {"times": [0.0, 1e-4], "displacement": [0.0, 0.0]}
-REFUSED: list[tuple[Any, dict[str, Any], tuple[str, str]]] = [
+REFUSED: list[tuple[Any, dict[str, Any], str]] = [
+    (Drive, ALONE | {"frequency": 1.6e19}, f"frequency: corresponds to 1e+20 {SWIFT}"),
+    (Drive, WAVE | {"frequency": 1e19, "cycles": 0.1}, f"cycles: corresponds to 6.9e+20 {SWIFT}"),
+    (Force, HALF_SINE | {"duration": 3e-20}, f"duration: corresponds to 1e+20 {SWIFT}"),
+    (Drive, ALONE, f'amplitude: give shape = "piston", velocity and rise, or {WAYS} displacement'),
+    (Force, ALONE | {"duration": 1e-5}, f"amplitude: give {WAYS} force, or shape, amplitude and"),
     (
-        *(Drive, {"amplitude": 1e-12, "frequency": 1.6e19}),
-        ("frequency", f"corresponds to 1e+20 {SWIFT}"),
+        Drive,
+        PATH | {"displacement": [0.0, -1.1e100]},
+        "displacement: must be at most 1e+100",
     ),
-    (
-        *(Drive, {"amplitude": 1e-12, "frequency": 1e19, "cycles": 0.1}),
-        ("cycles", f"corresponds to 6.9e+20 {SWIFT}"),
-    ),
-    (
-        *(Force, {"amplitude": 1e-12, "shape": "half-sine", "duration": 3e-20}),
-        ("duration", f"corresponds to 1e+20 {SWIFT}"),
-    ),
-    (
-        *(Drive, {"amplitude": 1e-12}),
-        (
-            "amplitude",
-            'give shape = "piston", velocity and rise, or amplitude and frequency, with or without '
-            "cycles, or times and displacement (or a file with both)",
-        ),
-    ),
-    (
-        *(Force, {"amplitude": 1e-12, "duration": 1e-5}),
-        (
-            "amplitude",
-            "give amplitude and frequency, with or without cycles, or times and force, or shape, "
-            "amplitude and duration (or a file with both)",
-        ),
-    ),
-    (
-        *(Drive, PATH | {"displacement": [0.0, -1.1e100]}),
-        ("displacement", "must be at most 1e+100 in magnitude"),
-    ),
-    (
-        *(Drive, PATH | {"displacement": [0.0]}),
-        ("displacement", "must have one entry for each of two or more times, not 1"),
-    ),
-    (
-        *(Drive, PATH | {"times": [-1e-9, 1e-4]}),
-        ("times", "must be 0 or more, and increase by more than 1e-12 of the last"),
-    ),
-    (
-        *(Drive, {"times": [0.0, 0.99e-16, 1e-4], "displacement": [0.0, 0.0, 0.0]}),
-        ("times", "must be 0 or more, and increase by more than 1e-12 of the last"),
-    ),
-    (
-        *(Drive, PATH | {"times": [0.0, 0.9e-20]}),
-        ("times", "are 9e-21 s apart, which is too little to compute: use SI units"),
-    ),
-    *(
-        (Drive, PATH | {"displacement": [1e-12, 0.0]} | where, ("displacement", at))
-        for where, at in (
-            ({}, "must begin with 0, the position of grain 1 at rest"),
-            ({"grain": 0}, "must begin with 0, the position of the wall at rest"),
-            ({"end": "bottom"}, "must begin with 0, the position of the base at rest"),
-        )
-    ),
+    (Drive, PATH | {"displacement": [0.0]}, "displacement: must have one entry for each of two or"),
+    (Drive, PATH | {"times": [-1e-9, 1e-4]}, SPACED),
+    (Drive, CLOSE, SPACED),
+    (Drive, PATH | {"times": [0.0, 0.9e-20]}, "times: are 9e-21 s apart, which is too little to c"),
+    (Drive, PATH | {"displacement": [1e-12, 0.0]}, f"{BEGIN} grain 1 at rest"),
+    (Drive, PATH | {"displacement": [1e-12, 0.0], "grain": 0}, f"{BEGIN} the wall at rest"),
+    (Drive, PATH | {"displacement": [1e-12, 0.0], "end": "bottom"}, f"{BEGIN} the base at rest"),
 ]
 
 
 @pytest.mark.parametrize(("kind", "keys", "fault"), REFUSED)
 def test_invalid_forcings_are_rejected_with_their_number(
-    kind: Any, keys: dict[str, Any], fault: tuple[str, str]
+    kind: Any, keys: dict[str, Any], fault: str
 ) -> None:
-    assert faults(kind, **keys) == [fault]
+    ((key, text),) = faults(kind, **keys)
+    assert f"{key}: {text}".startswith(fault)
 
 
 def test_forcings_at_the_limits_are_valid() -> None:
