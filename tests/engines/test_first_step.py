@@ -15,7 +15,6 @@ from lmpchain import (
     Displacement,
     Force,
     Impulse,
-    Scene,
     ToleranceNotMet,
     resume,
     simulate,
@@ -52,16 +51,22 @@ def test_the_step_follows_from_error_constant_order_and_tolerance(name):
 
 
 def test_openings_increase_errors_and_shorten_steps():
-    """The factor is the root of the strain, from 4 to 23, and 30 for equal steps."""
-    for strain, factor in ((0.3, 1.0), (0.31, 4.0), (3.0, 4.0), (12.0, 8.0), (math.inf, 23.0)):
+    """The factor is the root of the strain, from 4 to 23, and 30 for equal steps.
+
+    In a damped chain, it is proportional to the strain.
+    """
+    for strain, factor, damped in (
+        (0.3, 1.0, 1.0), (0.31, 4.0, 60.0), (3.0, 4.0, 60.0), (6.0, 32**0.5, 120.0),
+        (12.0, 8.0, 240.0), (1e9, 23.0, 1400.0), (math.inf, 23.0, 1400.0),
+    ):  # fmt: skip
         assert FIRST_STEP.opening_factor(strain, adaptive=True) == pytest.approx(factor, rel=1e-9)
-    assert FIRST_STEP.opening_factor(0.31, adaptive=False) == 30.0
-    assert FIRST_STEP.opening_factor(0.3, adaptive=False) == 1.0
+        assert FIRST_STEP.opening_factor(strain, True, True) == pytest.approx(damped, rel=1e-9)
+        for chain in (False, True):
+            assert FIRST_STEP.opening_factor(strain, False, chain) == (30.0 if strain > 0.3 else 1)
     strong = struck(column(120), 1e-2, 1e-4, 21)
     ratio = expected_reach(strong, RKN6, 1e-12, True) / expected_reach(strong, RKN6, 1e-12, False)
-    assert ratio == pytest.approx(
-        (30 / FIRST_STEP.opening_factor(strong.largest_strain, True)) ** (1 / 6), rel=1e-9
-    )
+    factor = FIRST_STEP.opening_factor(strong.largest_strain, True)
+    assert ratio == pytest.approx((30 / factor) ** (1 / 6), rel=1e-9)
 
 
 def test_cost_never_falls_as_the_tolerance_falls():
@@ -91,50 +96,45 @@ def test_unbounded_scenes_find_the_step_by_the_first_attempt(tmp_path):
     The answer is the same however it was asked for.
     """
     engine = Native("rkn6")
-    first = engine.propose(VACUUM, 1e-6)
-    assert engine.propose(VACUUM, 1e-9).step == first.step
-    assert (
-        engine.propose(struck(column(120), 1e-2, 1e-4, 21), 1e-9).step
-        < engine.propose(struck(column(120), 1e-2, 1e-4, 21), 1e-6).step
-    )
+    strong = struck(column(120), 1e-2, 1e-4, 21)
+    for scene, shorter in ((VACUUM, False), (strong, True)):
+        steps = [engine.propose(scene, tolerance).step for tolerance in (1e-6, 1e-9)]
+        assert (steps[1] < steps[0]) == shorter
     truth = extended_reference(VACUUM)
     for tolerance in (1e-6, 1e-9):
         answer = simulate(VACUUM, "native", tolerance)
         error = distance(answer, truth)
         assert error / 3 < answer.error_estimate.total <= tolerance
-        others = (
-            *simulate_many([VACUUM, VACUUM], tolerance),
-            simulate(VACUUM, "native", tolerance, folder=tmp_path / f"{tolerance}"),
-        )
-        for other in others:
+        folder = tmp_path / f"{tolerance}"
+        others = simulate_many([VACUUM, VACUUM], tolerance)
+        for other in (*others, simulate(VACUUM, "native", tolerance, folder=folder)):
             assert np.array_equal(other.velocity, answer.velocity)
             assert other.error_estimate == answer.error_estimate
-    assert np.array_equal(resume(tmp_path / f"{tolerance}").velocity, answer.velocity)
-
-
-def ratios(scene: Scene, tolerance: float, **options) -> list[float]:
-    candidate = Native("rkn6", **options).propose(scene, tolerance)
-    companions = AuxiliarySteps(RKN6, [scene], candidate.steps)
-    return [schedule.ratio for schedule in companions.schedules]
+        assert np.array_equal(resume(folder).velocity, answer.velocity)
 
 
 def test_auxiliary_runs_have_steps_twice_and_four_times_as_long():
     """The steps must be stable; openings with reflections need one more run."""
     weak = struck(column(120), 1e-6, 1e-4, 21)
     strong = struck(column(120), 1e-2, 1e-4, 21)
-    assert ratios(weak, 1e-10) == [2, 4]
-    assert ratios(weak, 1e-2) == [2]
-    assert ratios(strong, 1e-10) == [2, 4]
     returning = strong.replace(chain=column(20), duration=2e-3)
     assert returning.highest_frequency * returning.duration > OPENINGS.returning * 20
-    assert ratios(returning, 1e-10) == [2, 4, 1.5]
-    assert ratios(returning, 1e-10, adaptive=False) == [2, 4]
     springs = strong.replace(chain=column(20, exponent=1.0))
-    assert ratios(springs, 1e-10) == [2, 4, 1.75]
-    # Contacts that only touch open and close from the beginning.
-    assert ratios(VACUUM, 1e-10) == [2, 4, 1.5]
     striker = strong.chain.replace(gravity=0.0, top_load=1.0, load_grain=2)
-    assert ratios(strong.replace(chain=striker), 1e-10) == [2, 4, 1.5]
+    for scene, tolerance, adaptive, ratios in (
+        (weak, 1e-10, True, [2, 4]),
+        (weak, 1e-2, True, [2]),
+        (strong, 1e-10, True, [2, 4]),
+        (returning, 1e-10, True, [2, 4, 1.5]),
+        (returning, 1e-10, False, [2, 4]),
+        (springs, 1e-10, True, [2, 4, 1.75]),
+        # Contacts that only touch open and close from the beginning.
+        (VACUUM, 1e-10, True, [2, 4, 1.5]),
+        (strong.replace(chain=striker), 1e-10, True, [2, 4, 1.5]),
+    ):
+        steps = Native("rkn6", adaptive=adaptive).propose(scene, tolerance).steps
+        schedules = AuxiliarySteps(RKN6, [scene], steps).schedules
+        assert [schedule.ratio for schedule in schedules] == ratios
 
 
 def test_the_trusted_order():
@@ -143,24 +143,20 @@ def test_the_trusted_order():
     Six, four if coarse, and two at equal steps.
     """
     strong = struck(column(120), 1e-2, 1e-4, 21)
-    candidate = Native("kahan-li8").propose(strong, 1e-10)
-    method = METHODS["kahan-li8"]
-
-    def order(scene=strong, opens=True, smooth=True, **changes):
-        companions = AuxiliarySteps(method, [scene], candidate.steps._replace(**changes))
-        return companions.order(opens, smooth)
-
-    assert candidate.steps.adaptive
-    assert order(opens=False) == 8
-    assert order(coarse_openings=False) == 6
-    assert order(coarse_openings=True) == 4
-    springs = strong.replace(chain=column(120, exponent=1.2))
-    assert order(springs) == 6
-    assert order(adaptive=False) == 2
-    assert order(adaptive=False, opens=False) == 8
-    assert order(adaptive=False, opens=False, smooth=False) == 2
-    verlet = AuxiliarySteps(METHODS["verlet"], [strong], candidate.steps._replace(adaptive=False))
-    assert verlet.order(True, True) == 2
+    steps = Native("kahan-li8").propose(strong, 1e-10).steps
+    assert steps.adaptive
+    equal = {"adaptive": False}
+    for name, opens, smooth, changes, order in (
+        ("kahan-li8", False, True, {}, 8),
+        ("kahan-li8", True, True, {"coarse_openings": False}, 6),
+        ("kahan-li8", True, True, {"coarse_openings": True}, 4),
+        ("kahan-li8", True, True, equal, 2),
+        ("kahan-li8", False, True, equal, 8),
+        ("kahan-li8", False, False, equal, 2),
+        ("verlet", True, True, equal, 2),
+    ):
+        companions = AuxiliarySteps(METHODS[name], [strong], steps._replace(**changes))
+        assert companions.order(opens, smooth) == order
 
 
 def test_estimates_of_smooth_runs_are_close_upper_bounds():

@@ -17,7 +17,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from lmpchain import Displacement, Drive, Force, Impulse, InputError, Law, Scene, engines
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native, cost_model
-from lmpchain.engines.base import Engine, ErrorBudget
+from lmpchain.engines.base import Engine
 from lmpchain.engines.linear import engine as linear
 from lmpchain.theory import continuum
 from lmpchain.util.arrays import EPSILON
@@ -286,14 +286,6 @@ def test_measured_speeds_of_this_machine(tmp_path: Path, monkeypatch: pytest.Mon
         assert cost_model.seconds("modes", 1e-3, 2.0) == 2.001
     finally:
         cost_model.measured.cache_clear()
-
-
-def test_an_error_estimate_is_at_most_two() -> None:
-    budget = ErrorBudget(3.0, 1.0, 4.0, model=5.0)
-    assert (budget.estimate.model, budget.estimate.solver) == (2.0, 2.0)
-    small = ErrorBudget(0.5, 0.25, 4.0, model=0.125, model_bound=0.0625)
-    assert (small.estimate.model, small.estimate.solver) == (0.125, 0.75)
-    assert small.bound == 0.875
 
 
 def part(scene: Scene, engine: Engine) -> int:

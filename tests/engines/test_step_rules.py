@@ -15,10 +15,6 @@ from lmpchain.engines import Native
 from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.stepping.auxiliary_runs import AuxiliarySteps, longer_steps, recurs
 from lmpchain.engines.stepping.rounding import (
-    accumulate,
-    drift,
-    flown,
-    free_flights,
     interpolation_loss,
 )
 from lmpchain.engines.stepping.step_choice import (
@@ -39,6 +35,7 @@ RKN6 = METHODS["rkn6"]
 DOP853 = METHODS["dop853"]
 LOADED = column(6, gravity=0.0, top_load=1e-2, bottom="wall")
 EDGE = LOADED.band_edge
+LOOSE = struck(column(20, gravity=0.0, bottom="wall"), 0.1, 1e-4, 25)
 
 
 def calm(radians: float, samples: int = 2, **chain: Any) -> Scene:
@@ -54,126 +51,105 @@ def equal_steps(scene: Scene, number: int) -> Steps:
 # --- auxiliary runs
 
 
-@pytest.mark.parametrize(
-    ("steps", "longer"),
-    # The limit of this method is 5 / 3 rad.
-    [(7, []), (8, [2, 4]), (9, [2, 4])],
-)
-def test_few_steps_have_an_auxiliary_run_at_half_the_step(steps: int, longer: list[float]) -> None:
+def test_steps_of_auxiliary_runs_are_stable_and_not_too_few() -> None:
+    """Few steps have one at half the step; the limit of rkn6 is 5 / 3 rad."""
     scene = calm(0.5)
-    assert longer_steps(RKN6, scene, equal_steps(scene, steps)) == longer
-    auxiliary = AuxiliarySteps(RKN6, [scene], equal_steps(scene, steps))
-    assert list(auxiliary.ratios) == pytest.approx(
-        [0.5] if not longer else [steps / math.ceil(steps / x) for x in longer], rel=1e-12
-    )
+    for steps, longer, ratios in ((7, [], [0.5]), (8, [2, 4], [2, 4]), (9, [2, 4], [9 / 5, 3])):
+        assert longer_steps(RKN6, scene, equal_steps(scene, steps)) == longer
+        auxiliary = AuxiliarySteps(RKN6, [scene], equal_steps(scene, steps))
+        assert list(auxiliary.ratios) == pytest.approx(ratios, rel=1e-12)
+    for part, longer in ((0.249, [2, 4]), (0.251, [2]), (0.51, [])):
+        scene = calm(part * RKN6.stability_limit * 40, 41)
+        assert longer_steps(RKN6, scene, equal_steps(scene, 1)) == longer
 
 
-@pytest.mark.parametrize(("part", "longer"), [(0.249, [2, 4]), (0.251, [2]), (0.51, [])])
-def test_steps_of_auxiliary_runs_are_stable(part: float, longer: list[float]) -> None:
-    scene = calm(part * RKN6.stability_limit * 40, 41)
-    assert longer_steps(RKN6, scene, equal_steps(scene, 1)) == longer
-
-
-@pytest.mark.parametrize(
-    ("steps", "longer"),
-    [(8, [2, 4]), (12, [2, 3]), (9, []), (10, []), (14, []), (32, [2, 4]), (33, [2, 4])],
-)
-def test_auxiliary_runs_of_damped_motions_land_on_every_sample(
-    steps: int, longer: list[float]
-) -> None:
+def test_auxiliary_runs_of_damped_motions_land_on_every_sample() -> None:
     """Motions that decay between samples are seen at samples only."""
     scene = calm(8.0, 5, damping={"drag": 0.3 * EDGE})
     assert scene.sampling_decay == pytest.approx(0.3, rel=1e-9)
-    assert longer_steps(DOP853, scene, equal_steps(scene, steps)) == longer
     lasting = calm(8.0, 5, damping={"drag": 0.2 * EDGE})
-    assert longer_steps(DOP853, lasting, equal_steps(lasting, steps)) == [2, 4]
-    # All runs may have the same last step between a kink and a sample.
-    pushed = Force(shape="half-sine", amplitude=1e-6, duration=3 / EDGE)
-    assert longer_steps(DOP853, scene.replace(excitation=pushed), equal_steps(scene, steps)) == []
+    pushed = scene.replace(excitation=Force(shape="half-sine", amplitude=1e-6, duration=3 / EDGE))
+    fits = {8: [2, 4], 12: [2, 3], 9: [], 10: [], 14: [], 32: [2, 4], 33: [2, 4]}
+    for steps, longer in fits.items():
+        assert longer_steps(DOP853, scene, equal_steps(scene, steps)) == longer
+        assert longer_steps(DOP853, lasting, equal_steps(lasting, steps)) == [2, 4]
+        # All runs may have the same last step between a kink and a sample.
+        assert longer_steps(DOP853, pushed, equal_steps(scene, steps)) == []
     # The first steps of damped motions are chosen such that they can.
     for radians in (8.0, 80.0):
         scene = calm(radians, 5, damping={"drag": 0.3 * EDGE})
         for tolerance in 10.0 ** -np.arange(7.0, 11, 0.25):
-            reach = expected_reach(scene, DOP853, tolerance, False)
-            least = math.ceil(scene.sampling_phase / reach)
+            least = math.ceil(
+                scene.sampling_phase / expected_reach(scene, DOP853, tolerance, False)
+            )
             fit = next(n for n in range(least, 99) if n in (1, 2) or n > 31 or 0 in (n % 4, n % 6))
             assert choose_step(scene, DOP853, tolerance, True).per_landing == fit
 
 
 def test_each_run_is_compared_with_that_of_the_next_shorter_steps() -> None:
-    loose = struck(column(20, gravity=0.0, bottom="wall"), 0.1, 1e-4, 25)
-    steps = equal_steps(loose, 1)._replace(adaptive=True)
-    auxiliary = AuxiliarySteps(RKN6, [loose], steps, twins=1)
-    assert [schedule.ratio for schedule in auxiliary.schedules] == [2, 4, 1.5]
+    auxiliary = AuxiliarySteps(RKN6, [LOOSE], equal_steps(LOOSE, 1)._replace(adaptive=True), 1)
     # The runs are the answer, its twin, 2h, 4h and 1.5h.
+    assert [schedule.ratio for schedule in auxiliary.schedules] == [2, 4, 1.5]
     assert auxiliary.against.tolist() == [0, 1, 2, 0]
     # The runs of longer steps land on every 2nd, 4th and 3rd sample.
-    assert auxiliary.strides.tolist() == [1, 2, 4, 3]
-    assert auxiliary.together == 12
+    assert (auxiliary.strides.tolist(), auxiliary.together) == ([1, 2, 4, 3], 12)
     assert auxiliary.ratios == (2, 4, 1.5)
     other = AuxiliarySteps(RKN6, [calm(0.5)], equal_steps(calm(0.5), 40))
     assert (other.against.tolist(), other.strides.tolist(), other.together) == ([0, 1], [1, 1], 4)
 
 
 def test_energies_are_compared_where_both_runs_have_landed() -> None:
-    loose = struck(column(20, gravity=0.0, bottom="wall"), 0.1, 1e-4, 26)
+    loose = LOOSE.replace(samples=26)
     auxiliary = AuxiliarySteps(RKN6, [loose], equal_steps(loose, 1)._replace(adaptive=True))
-    balance = np.zeros((4, 1, 26, 2))
-    landed = [range(0, 26, n) for n in (1, 2, 4, 3)]
-    size = [1.0, 1.5, 4.0, 7.0]
-    for run, samples in enumerate(landed):
-        balance[run] = 1e9  # No run has this energy where it has landed, nor at the end.
-        balance[run, :, [*samples, 25]] = 0.0
-        balance[run, 0, 12] = size[run]
-    differences = auxiliary.compare_energies(balance)
-    assert differences[:, 0].tolist() == [[0.5, 0.5], [2.5, 2.5], [6.0, 6.0]]
-    balance[2, 0, 25, 1] = 100.0
-    differences = auxiliary.compare_energies(balance)
-    assert differences[:, 0].tolist() == [[0.5, 0.5], [2.5, 100.0], [6.0, 6.0]]
+    balance = np.full((4, 1, 26, 2), 1e9)  # No run has this energy where it has landed.
+    for run, (landing, size) in enumerate(zip((1, 2, 4, 3), (1.0, 1.5, 4.0, 7.0), strict=True)):
+        balance[run, :, [*range(0, 26, landing), 25]] = 0.0
+        balance[run, 0, 12] = size
+    for final, expected in ((0.0, 2.5), (100.0, 100.0)):
+        balance[2, 0, 25, 1] = final
+        differences = auxiliary.compare_energies(balance)
+        assert differences[:, 0].tolist() == [[0.5, 0.5], [2.5, expected], [6.0, 6.0]]
 
 
-@pytest.mark.parametrize(("opens", "bound"), [(True, 2e-6), (False, 2e-6 / (1.5**6 - 1))])
-def test_the_run_of_one_and_a_half_steps_bounds_the_error(opens: bool, bound: float) -> None:
+def test_the_run_of_one_and_a_half_steps_bounds_the_error() -> None:
     """Without openings, its distance from the answer shrinks with the order, too."""
-    loose = struck(column(20, gravity=0.0, bottom="wall"), 0.1, 1e-4, 25)
-    auxiliary = AuxiliarySteps(RKN6, [loose], equal_steps(loose, 1)._replace(adaptive=True))
+    auxiliary = AuxiliarySteps(RKN6, [LOOSE], equal_steps(LOOSE, 1)._replace(adaptive=True))
     assert auxiliary.recurrent == [True]
-    distances = [(1e-9, 2e-9), (64e-9, 128e-9), (1e-6, 0.0)]
-    found = auxiliary.truncation(0, distances, 6, opens)
-    assert found == pytest.approx(bound, rel=1e-9)
-    distances[2] = (0.0, 1e-6)
-    assert auxiliary.truncation(0, distances, 6, opens) == pytest.approx(bound, rel=1e-9)
+    for opens, bound in ((True, 2e-6), (False, 2e-6 / (1.5**6 - 1))):
+        for nearby in ((1e-6, 0.0), (0.0, 1e-6)):
+            distances = [(1e-9, 2e-9), (64e-9, 128e-9), nearby]
+            found = auxiliary.truncation(0, distances, 6, opens)
+            assert found == pytest.approx(bound, rel=1e-9)
 
 
 def test_equal_steps_are_trusted_less_if_contacts_open() -> None:
-    """Errors of order 1, or partly of order 2 if a contact is pressed far beyond its rest."""
-    scene = struck(LOADED, 1.0, 1e-5, 2)
-    assert scene.largest_strain > 10
-    weak = calm(0.5)
-    steps = equal_steps(weak, 40)
-    distances = [(1e-6, 0.0), (8e-6, 0.0)]
-    strong, still = (AuxiliarySteps(RKN6, [each], steps) for each in (scene, weak))
-    # The gain is at most that of the first order.
-    assert strong.truncation(0, distances, 6, True) == pytest.approx(
-        max(2e-6 / (2 - 1), 8e-6 / (4 - 2)), rel=1e-9
-    )
-    assert still.truncation(0, distances, 6, False) == pytest.approx(2e-6 / (8 - 1), rel=1e-9)
+    """Errors of order 1, or partly of order 2 if a contact is pressed far beyond its rest.
+
+    A strain of 10 is where a contact counts as nearly open at first.
+    """
+    steps = equal_steps(calm(0.5), 40)
     share = (64 - 8) / (64 - 4)
     mixed = 2e-6 * ((1 - share) / 63 + share / 3)
-    assert strong.truncation(0, distances, 6, False) == pytest.approx(mixed, rel=1e-9)
-    # A strain of 10 is where a contact counts as nearly open at first.
-    for strain, expected in ((9.9, 2e-6 / 7), (10.1, mixed)):
-        weaker = Impulse(velocity=1.0 * strain / scene.largest_strain)
+    for strain, opens, expected in (
+        # The gain is at most that of the first order.
+        (99.0, True, max(2e-6 / (2 - 1), 8e-6 / (4 - 2))),
+        (99.0, False, mixed),
+        (10.1, False, mixed),
+        (9.9, False, 2e-6 / 7),
+        (0.1, False, 2e-6 / 7),
+    ):
+        scene = struck(LOADED, 1e-2, 1e-5, 2)
         for _ in range(20):
-            found = scene.replace(excitation=weaker).largest_strain
-            weaker = weaker.scaled(strain / found)
-        near = AuxiliarySteps(RKN6, [scene.replace(excitation=weaker)], steps)
-        assert near.truncation(0, distances, 6, False) == pytest.approx(expected, rel=1e-9)
+            strike = scene.excitation.scaled(strain / scene.largest_strain)
+            scene = scene.replace(excitation=strike)
+        auxiliary = AuxiliarySteps(RKN6, [scene], steps)
+        error = auxiliary.truncation(0, [(1e-6, 0.0), (8e-6, 0.0)], 6, opens)
+        assert error == pytest.approx(expected, rel=1e-9)
     # A single auxiliary run is trusted if steps are equal and the force is smooth.
-    few = equal_steps(weak, 1)
     long = calm(0.4 * RKN6.stability_limit * 12, 13)
-    for each, expected in ((long, 2e-6 / 63), (scene.replace(samples=13), 2e-6)):
-        alone = AuxiliarySteps(RKN6, [each], few._replace(step=long.sampling_interval))
+    strong = struck(LOADED, 1.0, 1e-5, 13)
+    for each, expected in ((long, 2e-6 / 63), (strong, 2e-6)):
+        alone = AuxiliarySteps(RKN6, [each], equal_steps(long, 1))
         assert alone.ratios == (2.0,)
         assert alone.truncation(0, [(1e-6, 0.0)], 6, False) == pytest.approx(expected, rel=1e-9)
 
@@ -199,10 +175,8 @@ def test_steps_between_kinks_have_smaller_ratios() -> None:
 
 
 def test_errors_scatter_if_contacts_open_again() -> None:
-    def strong(radians: float, grains: int = 21, **options: Any) -> Scene:
-        excitation = options.pop("excitation", Impulse(velocity=0.1))
-        chain = column(grains, **options)
-        scene = scene_of(chain, excitation, 1e-4, 2)
+    def strong(radians: float, excitation: Any = None, **options: Any) -> Scene:
+        scene = scene_of(column(21, **options), excitation or Impulse(velocity=0.1), 1e-4, 2)
         return scene.replace(duration=scene.duration * radians / scene.total_phase)
 
     # A wave from an end returns after it has crossed the chain, 10 rad for each grain.
@@ -214,16 +188,15 @@ def test_errors_scatter_if_contacts_open_again() -> None:
         (Force(amplitude=1.0, frequency=1e4), 1),
         (stirred(column(21), 0.1), 1),
     ):
-        assert recurs(strong(10.1 * crossed, excitation=excitation))
-        assert not recurs(strong(9.9 * crossed, excitation=excitation))
+        assert recurs(strong(10.1 * crossed, excitation))
+        assert not recurs(strong(9.9 * crossed, excitation))
     # Errors scatter from the first opening on with a kink of the force, or on the ground.
-    assert recurs(strong(20.0, exponent=1.24))
     assert not recurs(strong(20.0, exponent=1.26))
-    assert recurs(strong(20.0, gravity=0.0))
-    assert recurs(strong(20.0, ground=Law("s*u", s=1e3)))
+    for options in ({"exponent": 1.24}, {"gravity": 0.0}, {"ground": Law("s*u", s=1e3)}):
+        assert recurs(strong(20.0, **options))
     # No contact opens if its overlap changes by less than a half.
+    scene = struck(LOADED, 1e-9, 100 / EDGE, 2)
     for part, opens in ((0.49, False), (0.52, True)):
-        scene = struck(LOADED, 1e-9, 100 / EDGE, 2)
         strike = Impulse(velocity=1e-9 * part / scene.linear_strain)
         assert recurs(scene.replace(excitation=strike)) == opens
 
@@ -247,6 +220,7 @@ def test_the_cost_of_steps_counts_evaluations_for_each_sample() -> None:
 
 
 def test_a_given_step_divides_the_time_between_samples() -> None:
+    """The stability limit is 2 / omega for velocity Verlet and the highest frequency."""
     scene = calm(20.0, 11)
     interval = scene.sampling_interval
     for divisor, steps in ((4.0, 4), (4.0 * (1 - 1e-14), 4), (4.001, 5), (3.999, 4), (50.0, 50)):
@@ -256,19 +230,14 @@ def test_a_given_step_divides_the_time_between_samples() -> None:
         choose_given_step(scene, RKN6, interval / 2.0**53.01)
     assert choose_given_step(scene, RKN6, interval / 2.0**52.99).per_landing < 2**53
     damped = calm(20.0, 11, damping={"drag": 5 * EDGE})
-    for part in (0.99, 1.01):
-        step = part * DOP853.stability_limit / (5 * EDGE)
-        if part < 1:
-            assert choose_given_step(damped, DOP853, step).step <= step
-        else:
-            with pytest.raises(InputError, match="the stability limit of dop853 on this chain"):
-                choose_given_step(damped, DOP853, step)
-
-
-def test_openings_of_damped_contacts_increase_errors_with_the_strain() -> None:
-    for strain, factor in ((0.3, 1.0), (0.31, 60.0), (3.0, 60.0), (6.0, 120.0), (1e9, 1400.0)):
-        assert FIRST_STEP.opening_factor(strain, True, damped=True) == pytest.approx(factor)
-    assert FIRST_STEP.opening_factor(6.0, False, damped=True) == 30.0
+    for each, method, longest in (
+        (scene, METHODS["verlet"], 2 / EDGE),
+        (damped, DOP853, DOP853.stability_limit / (5 * EDGE)),
+    ):
+        assert choose_given_step(each, method, 0.999 * longest).step <= longest
+        limit = f"below {longest:.3g} s, the stability limit of {method.name} on this chain"
+        with pytest.raises(InputError, match=limit):
+            choose_given_step(each, method, 1.001 * longest)
 
 
 @pytest.mark.parametrize("damped", [False, True])
@@ -363,18 +332,14 @@ def test_a_run_that_opens_contacts_is_refined_near_openings() -> None:
 
 def test_short_steps_land_on_every_sample() -> None:
     engine = Native("rkn6")
-    scene = smooth(samples=1001)
-    proposal = engine.propose(scene, 1e-6)
+    proposal = engine.propose(smooth(samples=1001), 1e-6)
     number, stride = proposal.steps.per_landing, proposal.steps.stride
     for ratio in (1.5, 7.9):
         better = engine.refine(proposal, ErrorBudget(0.7e-6 * ratio**6, 0.0, 6.0), 1e-6)
         assert better is not None
         shorter = math.ceil(number * ratio - 1e-9)
-        if shorter > stride:
-            assert better.steps.stride == 1
-            assert better.steps.per_landing == math.ceil(shorter / stride)
-        else:
-            assert (better.steps.stride, better.steps.per_landing) == (stride, shorter)
+        every = (1, math.ceil(shorter / stride)) if shorter > stride else (stride, shorter)
+        assert (better.steps.stride, better.steps.per_landing) == every
 
 
 def test_a_proposal_is_lengthened_as_far_as_its_error_allows() -> None:
@@ -384,18 +349,24 @@ def test_a_proposal_is_lengthened_as_far_as_its_error_allows() -> None:
     proposal = engine.propose(scene, 1e-6)
     number = proposal.steps.per_landing
     assert number > 1000
-    for ratio in (2.0, 1.5):
-        small = ErrorBudget(0.7e-6 / ratio**2, 0.0, 2.0)
-        longer = engine.lengthen(scene, proposal, small, 1e-6)
-        assert longer is not None
-        assert longer.steps.per_landing == pytest.approx(number / ratio, abs=1.1)
-        assert not engine.lengthen(scene, proposal._replace(fixed=True), small, 1e-6)
-    assert engine.lengthen(scene, proposal, ErrorBudget(0.7e-6 / 1.29**2, 0.0, 2.0), 1e-6) is None
-    assert engine.lengthen(scene, proposal, ErrorBudget(math.inf, 0.0, 2.0), 1e-6) is None
-    longest = engine.lengthen(scene, proposal, ErrorBudget(1e-30, 0.0, 2.0), 1e-6)
-    assert longest is not None
     limit = METHODS["verlet"].stability_limit / 4 / scene.highest_frequency
-    assert longest.steps.per_landing == math.ceil(scene.sampling_interval / limit)
+    longest = math.ceil(scene.sampling_interval / limit)
+    for truncation, fewer in (
+        (0.7e-6 / 2.0**2, number / 2.0),
+        (0.7e-6 / 1.5**2, number / 1.5),
+        (1e-30, longest),
+        (0.7e-6 / 1.29**2, None),
+        (math.inf, None),
+    ):
+        error = ErrorBudget(truncation, 0.0, 2.0)
+        longer = engine.lengthen(scene, proposal, error, 1e-6)
+        assert not engine.lengthen(scene, proposal._replace(fixed=True), error, 1e-6)
+        if fewer is None:
+            assert longer is None
+        else:
+            assert longer is not None
+            within = 1e-9 if fewer == longest else 1.1
+            assert longer.steps.per_landing == pytest.approx(fewer, abs=within)
 
 
 def test_steps_that_must_round_too_often_are_refused() -> None:
@@ -410,18 +381,6 @@ def test_steps_that_must_round_too_often_are_refused() -> None:
         assert proposal.steps == steps
         with pytest.raises(ToleranceNotMet, match=f"round-off alone may make.*{cure}"):
             engine.propose_steps(scene, 0.999 * floor, METHODS[name], steps)
-
-
-def test_rounding_of_free_flights() -> None:
-    """Flights are paths of the fastest grain over the largest displacement."""
-    scene = calm(100.0)
-    assert flown(scene, 2.0, 6.0) == pytest.approx(3 * scene.duration, rel=1e-12)
-    length = scene.duration
-    for speed, flights in ((0.5, 1.0), (7.0, 7.0), (1e9, 100.0)):
-        assert free_flights(scene, length, speed) == pytest.approx(flights, rel=1e-9)
-    assert drift(800.0, 4.0) == 25.0
-    assert drift(800.0, 0.0) == 0.0
-    assert accumulate(10_000.0, 4.0) == max(200.0, 312.5)
 
 
 # --- blocks
