@@ -6,15 +6,13 @@ Forced motion, waves in resonance, bounds before a run, costs, what closed forms
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of, stirred, struck
+from helpers.example_scenes import scene_of, struck
 from helpers.independent_integrators import distance
 
-from lmpchain import Chain, Drive, Force, Impulse, Law, Packet, Profile, Scene, simulate
+from lmpchain import Chain, Drive, Force, Impulse, Law, Packet, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
 from lmpchain.engines.linear import model_error
 from lmpchain.engines.linear.model_error import Resonance
-from lmpchain.theory.modes import eigenmodes
-from lmpchain.trajectory.record import LARGEST_ERROR
 from lmpchain.util.arrays import EPSILON
 
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
@@ -29,20 +27,12 @@ HZ = EDGE / (2 * np.pi)
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 def test_the_cost_of_a_linear_solution(engine):
     scene = scene_of(LOADED, Impulse(velocity=1e-9, grain=2), 20 / EDGE, 9)
-    t = simulate(scene, engine)
-    cost = t.cost
+    cost = simulate(scene, engine).cost
     assert (cost.steps, cost.active_grains, cost.ranks, cost.integrator) == (8, 7, 1, engine)
     assert cost.step_s == pytest.approx(scene.duration / 8, rel=1e-12)
-    assert cost.integration_s > 0
-    assert cost.estimate_s > 0
-    assert cost.setup_s > 0
-    modes_that_move = 6
-    terms_of_a_radian_each = 20
-    if engine == "modes":
-        assert cost.force_evaluations == modes_that_move
-    else:
-        # Terms of half a radian each, because eigenvalues are between 0 and 4.
-        assert cost.force_evaluations > terms_of_a_radian_each / 2
+    assert min(cost.integration_s, cost.estimate_s, cost.setup_s) > 0
+    # Six modes move. Terms of half a radian each are needed, because eigenvalues are 0 to 4.
+    assert cost.force_evaluations == 6 if engine == "modes" else cost.force_evaluations > 10
 
 
 @pytest.mark.parametrize("made", [Modes(), Chebyshev()])
@@ -53,14 +43,11 @@ def test_a_batch_needs_scenes_with_the_same_recording(made):
         made.start([scene, scene.replace(samples=8)], candidate)
     run = made.start([scene, scene], candidate)
     assert run.progress == 0
-    blocks = list(run.blocks())
+    assert sum(block.displacement.shape[1] for block in run.blocks()) == 9
     assert run.progress == 1
     assert run.scale.shape == (2, 2)
-    assert sum(block.displacement.shape[1] for block in blocks) == 9
-    assert (
-        run.cost().force_evaluations == 2 * made.start([scene], candidate).cost().force_evaluations
-        or made.name != "modes"
-    )
+    if made.name == "modes":
+        assert run.cost().force_evaluations == 2 * 6
 
 
 def test_rounding_of_linear_solutions():
@@ -95,32 +82,6 @@ def test_rounding_of_linear_solutions():
     assert slow == pytest.approx(100 * 1e3 * 10.1 * EPSILON, rel=1e-6)
 
 
-def test_costs_of_linear_solutions_grow_with_their_work():
-    """Modes: with the cube of many grains and with samples; Chebyshev: with the terms.
-
-    With the time, and the grains it reaches.
-    """
-
-    def seconds(engine, grains, samples=11, duration=1e-4):
-        chain = column(grains, gravity=0.0, top_load=1e-3)
-        profile = Profile(velocity=np.append(np.full(grains - 1, 1e-9), 0.0))
-        scene = scene_of(chain, profile, duration, samples)
-        return engine.propose(scene, 1e-6).cost_s
-
-    modes = Modes()
-    series = Chebyshev()
-    assert seconds(modes, 8000) / seconds(modes, 4000) == pytest.approx(8, rel=0.35)
-    more, most = (seconds(modes, 50, samples=n) for n in (100_001, 200_001))
-    assert most / more == pytest.approx(2, rel=0.05)
-    for engine in (modes, series):
-        assert seconds(engine, 50, samples=2001) > seconds(engine, 50, samples=1001)
-        assert seconds(engine, 100, samples=2001) > seconds(engine, 50, samples=2001)
-    assert seconds(series, 4000, duration=2e-1) / seconds(
-        series, 4000, duration=1e-1
-    ) == pytest.approx(2, rel=0.2)
-    assert seconds(series, 4000, duration=1e-1) > seconds(series, 2000, duration=1e-1)
-
-
 @pytest.mark.parametrize(
     ("radians", "samples", "within"),
     # The samples resolve every oscillation, or evaluations at random distances are added, or long
@@ -152,85 +113,6 @@ def test_the_expected_time_of_linear_solutions_is_that_of_their_work(
 # --- waves in resonance
 
 
-def resonance(scene: Scene, time: float) -> np.ndarray:
-    """Return the forces of wave pairs on every mode, by loops over pairs, modes and contacts.
-
-    A contact of stiffness k and overlap D has the force k s + k (delta - 1) s^2 / (2 D), s how much
-    closer it is.
-    """
-    chain = scene.chain
-    first = scene.excitation.driven
-    modes = eigenmodes(chain)
-    assert first == 0
-    omega = modes.frequency
-    shape = modes.shape
-    u, v = scene.initial()
-    moving = chain.movable
-    grains = chain.grains
-    # Compression of contact c (0 is above the top) by unit amplitude of a mode.
-    squeeze = np.zeros((grains + 1, omega.size))
-    for contact in range(grains + 1):
-        above = shape[contact - 1] if 1 <= contact <= moving else 0.0
-        below = shape[contact] if contact < moving else 0.0
-        squeeze[contact] = above - below
-    amplitude = [
-        np.hypot(
-            shape[:, p] @ (chain.masses * u)[:moving],
-            shape[:, p] @ (chain.masses * v)[:moving] / omega[p],
-        )
-        for p in range(omega.size)
-    ]
-    contacts = chain.contacts
-    most = np.zeros(2)
-    squares = np.zeros((2, moving))
-    for m in range(omega.size):
-        for p in range(omega.size):
-            for q in range(omega.size):
-                force = (
-                    sum(
-                        contacts.stiffness[c]
-                        * (chain.exponent - 1)
-                        / (2 * contacts.overlap[c])
-                        * squeeze[c, p]
-                        * squeeze[c, q]
-                        * squeeze[c, m]
-                        for c in range(grains + 1)
-                        if contacts.pressed[c]
-                    )
-                    * amplitude[p]
-                    * amplitude[q]
-                )
-                for beat in (omega[p] + omega[q], abs(omega[p] - omega[q])):
-                    off = abs(beat - omega[m])
-                    lasts = min(time, 2 / off) if off > 0 else time
-                    # The product of two cosines is half of each of these; (p, q) and (q, p) are one
-                    # pair.
-                    grown = abs(force) / 2 * lasts / (2 * omega[m]) * np.sqrt(2)
-                    squares[0] += (shape[:, m] * grown) ** 2
-                    squares[1] += (shape[:, m] * grown * omega[m]) ** 2
-    most[:] = np.sqrt(squares.max(axis=1))
-    return most
-
-
-@pytest.mark.parametrize("exponent", [1.5, 2.3])
-@pytest.mark.parametrize("top", ["free", "wall"])
-def test_waves_in_resonance_by_loops_over_pairs(exponent, top):
-    chain = column(
-        4,
-        gravity=5.0,
-        top_load=1e-3,
-        exponent=exponent,
-        top=top,
-        bottom="wall",
-        masses=np.array([1.0, 2.0, 1.5, 3.0]) * 1e-6,
-    )
-    scene = scene_of(chain, stirred(chain, 1e-7, 1e-12), 1e-3)
-    for time in (1e-6, 1e-4, 1e-2):
-        np.testing.assert_allclose(
-            Resonance(scene).motion(time), resonance(scene, time), rtol=1e-9, atol=0
-        )
-
-
 def test_resonance_matters_for_few_grains_with_a_curved_force():
     strike = Impulse(velocity=1e-7)
     for chain in (LOADED.replace(exponent=1.0), column(13)):
@@ -241,41 +123,17 @@ def test_resonance_matters_for_few_grains_with_a_curved_force():
     assert not Resonance(twelve).motion(0.0).any()
 
 
-def test_a_drive_is_one_of_the_waves_in_resonance():
-    """The steady motion by a slow drive beats with the free waves.
-
-    Four times as much for twice the drive.
-    """
-    chain = LOADED.replace(grains=5, masses=LOADED.masses[:5])
-    scenes = [
-        scene_of(chain, Drive(amplitude=a, frequency=0.123 * HZ), 1e-3) for a in (1e-12, 2e-12)
-    ]
-    one, two = (Resonance(scene).motion(5e-4) for scene in scenes)
-    np.testing.assert_allclose(two, 4 * one, rtol=1e-9, atol=0)
-
-
 # --- estimates before a run
 
 
 def test_the_expected_error_of_linear_theory_scales_with_strike_and_curvature():
     """The error is proportional to both, and to the root of time, or to time with a forcing."""
     scene = struck(column(40, gravity=0.0, top_load=1e-2), 1e-7, 5e-5, 11)
-    expected = model_error.expected_error(scene)
-    assert 0 < expected < 1
-    twice = model_error.expected_error(scene.replace(excitation=Impulse(velocity=2e-7)))
-    assert twice == pytest.approx(2 * expected, rel=1e-9)
-    radians = scene.chain.band_edge * scene.duration
-    later = model_error.expected_error(scene.replace(duration=3 * scene.duration))
-    growth = (1 + np.sqrt(3 * radians)) / (1 + np.sqrt(radians))
-    assert later / expected == pytest.approx(growth, rel=1e-9)
-    excess = scene.chain.exponent - 1
-    walk = excess * scene.linear_strain * (1 + np.sqrt(radians))
-    factors = model_error.FACTORS
-    assert expected == pytest.approx(factors.doubt * factors.strays * walk, rel=1e-9)
     driven = scene.replace(excitation=Drive(amplitude=1e-16, frequency=0.1 * HZ))
-    radians = driven.linear_frequency * driven.duration
-    walk = excess * driven.linear_strain * (1 + radians)
-    assert model_error.expected_error(driven) == pytest.approx(0.6 * walk, rel=1e-9)
+    for each, power in ((scene, 0.5), (driven, 1.0)):
+        radians = each.linear_frequency * each.duration
+        walk = (each.chain.exponent - 1) * each.linear_strain * (1 + radians**power)
+        assert model_error.expected_error(each) == pytest.approx(4 * 0.15 * walk, rel=1e-9)
     springs = struck(column(40, gravity=0.0, top_load=1e-2, exponent=1.0), 1e-7, 5e-5, 11)
     assert model_error.expected_error(springs) == 0.0
     assert model_error.expected_error(scene.replace(excitation=Impulse(velocity=10.0))) == 1.0
@@ -316,23 +174,16 @@ def test_travel_time_of_a_wave_train_at_its_largest_strain():
     )
 
 
-def test_the_fastest_of_chain_and_excitation():
-    scene = scene_of(LOADED, Drive(amplitude=1e-12, frequency=5 * HZ), 1e-4)
-    assert scene.linear_frequency == pytest.approx(5 * EDGE, rel=1e-12)
-    slow = scene.replace(excitation=Drive(amplitude=1e-12, frequency=0.1 * HZ))
-    assert slow.linear_frequency == EDGE
-
-
 def test_evaluation_times_between_samples():
     """The times are spread over the run, never evenly spaced, from half a radian on.
 
     Every half radian where contacts may open.
     """
-    calm = struck(column(40, gravity=0.0, top_load=1e-2), 1e-8, 5e-5, 11).replace(
-        duration=1e3 / column(40, gravity=0.0, top_load=1e-2).band_edge
-    )
+    chain = column(40, gravity=0.0, top_load=1e-2)
+    calm = struck(chain, 1e-8, 1e3 / chain.band_edge, 11)
     times = model_error.evaluation_times(calm)
     fastest = calm.linear_frequency
+    assert times.size == model_error.evaluations(calm)
     assert np.all(np.diff(times) > 0)
     assert times[0] == 0.0
     assert calm.duration * 0.97 < times[-1] < calm.duration
@@ -342,7 +193,6 @@ def test_evaluation_times_between_samples():
     gaps = np.diff(times[times > calm.duration / 10])
     assert gaps.max() < 2 * calm.duration / 64
     assert gaps.std() > 0.2 * gaps.mean()
-    assert times.size == model_error.evaluations(calm)
     open_ = calm.replace(excitation=Impulse(velocity=1e-8 / calm.linear_strain * 1.5))
     close = model_error.evaluation_times(open_)
     np.testing.assert_allclose(np.diff(close), close[1], rtol=1e-9)
@@ -355,40 +205,19 @@ def test_close_samples_need_no_other_evaluation_times():
 
     Two where something may, and then every opening is seen.
     """
-    scene = struck(column(40, gravity=0.0, top_load=1e-2), 1e-8, 5e-5, 11)
-    scene = scene.replace(duration=200.5 / scene.chain.band_edge)
+    chain = column(40, gravity=0.0, top_load=1e-2)
+    scene = struck(chain, 1e-8, 200.5 / chain.band_edge, 2)
     wild = scene.replace(excitation=Impulse(velocity=1e-8 / scene.linear_strain * 1.5))
-    for samples, enough in ((202, True), (201, False)):
-        assert model_error.dense(scene.replace(samples=samples)) == enough
-        assert not model_error.dense(wild.replace(samples=samples))
-    for samples, enough in ((402, True), (401, False)):
-        assert model_error.dense(wild.replace(samples=samples)) == enough
-    assert model_error.decidable(scene.replace(samples=2))
-    assert model_error.decidable(wild.replace(samples=2))
-    long = wild.replace(duration=1e7 / scene.chain.band_edge, samples=2)
-    assert not model_error.decidable(long)
-    assert model_error.decidable(scene.replace(duration=1e7 / scene.chain.band_edge, samples=2))
+    for each, enough in ((scene, 202), (wild, 402)):
+        for samples in (enough - 1, enough):
+            assert model_error.dense(each.replace(samples=samples)) == (samples == enough)
+        assert model_error.decidable(each)
+        long = each.replace(duration=1e7 / chain.band_edge)
+        assert model_error.decidable(long) == (each is scene)
     assert Modes().propose(long, 0.9).model_error == 1.0
 
 
 # --- closed forms
-
-
-@pytest.mark.parametrize("made", [Bessel(), Continuum()])
-def test_the_model_error_of_a_closed_form_includes_that_of_the_linear_chain(made):
-    chain = column(60)
-    scene = struck(chain, 1e-7, 3e-5, 401)
-    formula = simulate(scene, made, 0.999, on_miss="warn")
-    exact = simulate(scene, "chebyshev", 0.9)
-    own = distance(formula, exact)
-    # The continuum differs by 2.5 times the true motion; an estimate of 2 means that nothing is
-    # known.
-    stated = min(own + exact.error_estimate.model, LARGEST_ERROR)
-    assert formula.error_estimate.model == pytest.approx(stated, rel=1e-3)
-    cost = formula.cost
-    assert (cost.force_evaluations, cost.integrator, cost.active_grains) == (0, made.name, 60)
-    assert cost.integration_s > 0
-    assert cost.estimate_s > 0
 
 
 def test_expected_errors_of_closed_forms():
@@ -438,11 +267,7 @@ def test_the_model_error_of_forced_motion(kind: str):
     )
     scene = scene_of(chain, ACTING[kind], 2e-4, 41)
     answer = simulate(scene, "modes", 1e-2, on_miss="warn")
-    exact = simulate(scene, "native", 1e-9)
-    fields = ("displacement", "velocity")
-    differences = [np.abs(getattr(answer, name) - getattr(exact, name)).max() for name in fields]
-    sizes = [np.abs(getattr(exact, name)).max() for name in fields]
-    error = max(np.divide(differences, sizes))
+    error = distance(answer, simulate(scene, "native", 1e-9))
     assert 1e-4 < error < 0.05
     assert error <= answer.error_estimate.model < 6 * error
 

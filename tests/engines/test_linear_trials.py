@@ -233,30 +233,6 @@ def test_linear_theory_is_rejected_for_springs_that_cannot_be_resolved():
     assert simulate(weak, "modes").error_estimate.model == 0
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_no_contact_exceeds_the_energy_bound_on_its_strain(seed):
-    """The bound follows from the quadratic form, and the linear motion satisfies it."""
-    scene = next(s for s in map(drawn, range(100 * seed, 100 * seed + 100)) if not s.drive)
-    chain = scene.chain
-    contacts = scene.chain.contacts
-    part = slice(0, chain.movable)
-    # Compression of contacts by unit displacements.
-    stretch = -np.diff(np.eye(chain.grains)[:, part], axis=0, prepend=0, append=0)
-    form = stretch.T @ (contacts.stiffness[:, None] * stretch)
-    u, v = scene.initial()
-    energy = (chain.masses * v**2).sum() + (contacts.stiffness * (stretch @ u[part]) ** 2).sum()
-    most = np.sqrt(energy * np.einsum("ci,ij,cj->c", stretch, np.linalg.inv(form), stretch))
-    pressed = contacts.pressed
-    assert scene.linear_strain == pytest.approx(
-        (most[pressed] / contacts.overlap[pressed]).max(), rel=1e-9, abs=0
-    )
-    times = np.linspace(0, scene.duration, 2000)
-    moved = eigenmodes(chain).response(times, u[part], v[part])[0] @ stretch.T
-    assert (np.abs(moved[:, pressed]) / contacts.overlap[pressed]).max() <= scene.linear_strain * (
-        1 + 1e-9
-    )
-
-
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize("samples", [2, 3, 5])
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
