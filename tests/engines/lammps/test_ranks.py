@@ -25,7 +25,6 @@ from lmpchain import (
     EngineUnavailable,
     Force,
     Impulse,
-    InputError,
     RunFailed,
     Trajectory,
     doctor,
@@ -47,21 +46,13 @@ RANKS = subprocess_ranks.__name__
 # The strike is beside the border between two ranks, and the wave crosses the border.
 MIDDLE = scene_of(column(60, material="glass"), Impulse(velocity=8.57e-4, grain=29), 4e-5, 9)
 LOADED = Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, bottom="wall")
+SAMPLED = Drive(times=np.linspace(0, 4e-5, 9), displacement=1e-7 * np.sin(np.arange(9.0)) ** 2)
+ACTING = Drive(amplitude=1e-7, frequency=2e4), Force(amplitude=1.0, frequency=2e4, grain=25)
 SCENES = {
     "strike in the middle": MIDDLE,
-    "walls": scene_of(
-        Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, top="wall", bottom="wall"),
-        Impulse(velocity=1e-2, grain=15),
-        4e-5,
-        5,
-    ),
-    "harmonic drive": scene_of(LOADED, Drive(amplitude=1e-7, frequency=2e4), 4e-5, 5),
-    "sampled drive": scene_of(
-        LOADED,
-        Drive(times=np.linspace(0, 4e-5, 9), displacement=1e-7 * np.sin(np.arange(9.0)) ** 2),
-        4e-5,
-        5,
-    ),
+    "walls": scene_of(LOADED.replace(top="wall"), Impulse(velocity=1e-2, grain=15), 4e-5, 5),
+    "harmonic drive": scene_of(LOADED, ACTING[0], 4e-5, 5),
+    "sampled drive": scene_of(LOADED, SAMPLED, 4e-5, 5),
     "unequal grains": scene_of(
         Chain(grains=40, diameter=1e-3 * 0.97 ** np.arange(40)), Impulse(velocity=1e-3), 3e-5, 5
     ),
@@ -73,9 +64,6 @@ def same(one: Trajectory, other: Trajectory) -> bool:
     return np.array_equal(one.displacement, other.displacement) and np.array_equal(
         one.velocity, other.velocity
     )
-
-
-ACTING = Drive(amplitude=1e-7, frequency=2e4), Force(amplitude=1.0, frequency=2e4, grain=25)
 
 
 def motion(communicator: Communicator, excitation: Drive | Force) -> list[np.ndarray]:
@@ -162,13 +150,18 @@ class Obedient:
 
 
 @pytest.fixture
-def _obedient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def handlers() -> Iterator[None]:
+    """Restore the handlers of signals."""
+    before = {number: signal.getsignal(number) for number in library.SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def _obedient(monkeypatch: pytest.MonkeyPatch, handlers: None) -> None:
     monkeypatch.setattr(communicators, "Worker", Obedient)
     monkeypatch.setattr(mpi, "MESSAGE_S", 0.0)
-    handlers = {number: signal.getsignal(number) for number in library.SIGNALS}
-    yield
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
 
 
 @pytest.mark.usefixtures("_obedient")
@@ -179,10 +172,7 @@ def test_ranks_answer_each_call_until_they_are_shut_down(capsys: pytest.CaptureF
         ("open", ("file.log",)),
         ("share", ()),
         *(("commands", (error,)) for error in failures),
-        ("close", ()),
-        ("close", ()),
-        ("shutdown_workers", ()),
-        ("share", ()),
+        *(("close", ()), ("close", ()), ("shutdown_workers", ()), ("share", ())),
     )
     communicators.worker_loop(world)
     assert world.answers == [None, (world, "file.log"), *failures, None, None]
@@ -193,9 +183,8 @@ def test_ranks_answer_each_call_until_they_are_shut_down(capsys: pytest.CaptureF
         (Exception("a fault"), "a fault"),
         (ZeroDivisionError(), "ZeroDivisionError"),
     ):
-        world = World(("open", ("none",)), ("commands", (error,)))
         with pytest.raises(SystemExit):
-            communicators.worker_loop(world)
+            communicators.worker_loop(World(("open", ("none",)), ("commands", (error,))))
         assert capsys.readouterr().err == f"error: rank 1: {message}\n"
 
 
@@ -224,35 +213,30 @@ def test_the_first_rank_sends_each_call_to_the_others_and_raises_their_errors():
     assert world.sent == [(rank, call) for call in last for rank in (1, 2)]
 
 
-def test_signals_wait_for_the_end_of_a_block_unless_they_are_ignored():
+def test_signals_wait_for_the_end_of_a_block_unless_they_are_ignored(handlers: None):
     arrived = []
-    handlers = {number: signal.getsignal(number) for number in library.SIGNALS}
-    try:
-        for number in library.SIGNALS:
-            signal.signal(number, lambda number, _: arrived.append(number))
-        with library.signals_blocked():
-            for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
-                signal.raise_signal(number)
-            assert arrived == []
-        # The first signal ends the run.
-        assert arrived == [signal.SIGTERM]
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        with library.signals_blocked():
-            signal.raise_signal(signal.SIGINT)
-            assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-        assert arrived == [signal.SIGTERM]
-        # Other threads cannot handle signals.
-        entered = []
-        block = library.signals_blocked()
-        thread = threading.Thread(target=lambda: entered.append(block.__enter__()))
-        thread.start()
-        thread.join()
-        assert entered == [None]
-        signal.raise_signal(signal.SIGTERM)
-        assert len(arrived) == 2
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    for number in library.SIGNALS:
+        signal.signal(number, lambda number, _: arrived.append(number))
+    with library.signals_blocked():
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
+            signal.raise_signal(number)
+        assert arrived == []
+    # The first signal ends the run.
+    assert arrived == [signal.SIGTERM]
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with library.signals_blocked():
+        signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    assert arrived == [signal.SIGTERM]
+    # Other threads cannot handle signals.
+    entered = []
+    block = library.signals_blocked()
+    thread = threading.Thread(target=lambda: entered.append(block.__enter__()))
+    thread.start()
+    thread.join()
+    assert entered == [None]
+    signal.raise_signal(signal.SIGTERM)
+    assert len(arrived) == 2
 
 
 def test_another_user_cannot_answer_for_the_ranks(monkeypatch: pytest.MonkeyPatch):
@@ -269,6 +253,19 @@ def test_another_user_cannot_answer_for_the_ranks(monkeypatch: pytest.MonkeyPatc
         subprocess_ranks._connect(ours)
 
 
+@pytest.fixture
+def launch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return a function that makes a script the launcher of ranks."""
+    fake = tmp_path / "mpiexec"
+
+    def install(script: str) -> None:
+        fake.write_text(script)
+        fake.chmod(0o755)
+        monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
+
+    return install
+
+
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
@@ -277,23 +274,17 @@ def test_another_user_cannot_answer_for_the_ranks(monkeypatch: pytest.MonkeyPatc
         (EngineUnavailable("no LAMMPS"), "^no LAMMPS$"),
     ],
 )
-def test_answers_of_ranks_that_do_not_run(
-    answer: Any, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    fake = tmp_path / "mpiexec"
+def test_answers_of_ranks_that_do_not_run(answer: Any, message: str, launch: Any):
     data = pickle.dumps(answer)
-    fake.write_text(
+    send = f"end.sendall({len(data).to_bytes(4)!r} + {data!r}); end.recv(1)\n"
+    launch(
         f"#!{sys.executable} -ES\n"
         "import socket, sys\n"
         f"assert sys.argv[1:3] == ['-n', '2'] and sys.argv[4:6] == ['-m', {RANKS!r}]\n"
         "sys.stderr.write('error: no memory\\n')\n"
         "end = socket.socket(socket.AF_UNIX)\n"
-        "end.connect('\\0' + sys.argv[-1])\n"
-        + f"end.sendall({len(data).to_bytes(4)!r} + {data!r}); end.recv(1)\n"
-        * (answer is not None)
+        f"end.connect('\\0' + sys.argv[-1])\n{'' if answer is None else send}"
     )
-    fake.chmod(0o755)
-    monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
     with pytest.raises(EngineUnavailable, match=message):
         SubprocessRanks(2, "none")
 
@@ -310,53 +301,39 @@ def test_a_step_is_split_where_the_waveform_ends_within_it(end: float):
         np.testing.assert_allclose(times, [first, *(first + drifts)], rtol=1e-12)
 
 
-def test_a_launcher_that_fails_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    fake = tmp_path / "mpiexec"
-    fake.write_text("#!/bin/sh\necho no such host >&2\nexit 3\n")
-    fake.chmod(0o755)
-    monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
+def test_a_launcher_that_fails_is_reported(launch: Any):
+    launch("#!/bin/sh\necho no such host >&2\nexit 3\n")
     with pytest.raises(EngineUnavailable, match="the ranks do not start: no such host"):
         simulate(MIDDLE, "lammps", ranks=2)
 
 
 INTEGRATORS = ("verlet", "kahan-li6", "rkn6")
 SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # Each scene once.
+OPTIONS: dict[str, Any] = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
 
 
 @pytest.mark.parametrize(
-    ("name", "integrator"),
+    ("name", "integrator", "options", "ranks"),
     [
-        pytest.param(*each, marks=pytest.mark.slow if each in SLOW else pytest.mark.soak)
-        for each in product(SCENES, INTEGRATORS)
+        *(
+            pytest.param(*each, {}, 2, marks=pytest.mark.slow if each in SLOW else pytest.mark.soak)
+            for each in product(SCENES, INTEGRATORS)
+        ),
+        pytest.param("strike in the middle", "rkn6", {"diameter": "gauge"}, 3,
+                     marks=pytest.mark.slow),
     ],
-)
-def test_ranks_give_the_bytes_of_a_single_process(name, integrator):
-    scene = SCENES[name]
-    options = {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
-    one = simulate(scene, engine=Lammps(**options))
-    two = simulate(scene, engine=Lammps(**options, ranks=2))
-    assert (one.cost.ranks, two.cost.ranks) == (1, 2)
+)  # fmt: skip
+def test_ranks_give_the_bytes_of_a_single_process(name, integrator, options, ranks):
+    options = OPTIONS | {"integrator": integrator, "step": 2e-7} | options
+    one, more = (simulate(SCENES[name], Lammps(**options, ranks=n)) for n in (1, ranks))
+    assert (one.cost.ranks, more.cost.ranks) == (1, ranks)
     assert np.abs(one.velocity[-1]).max() > 0
-    assert same(one, two)
+    assert same(one, more)
 
 
 @pytest.mark.slow
-def test_three_ranks_and_the_gauge_diameter():
-    one, three = (
-        simulate(MIDDLE, engine=Lammps(diameter="gauge", ranks=ranks)) for ranks in (1, 3)
-    )
-    assert three.cost.ranks == 3
-    assert same(one, three)
-
-
-@pytest.mark.slow
-def test_more_ranks_than_grains_are_rejected():
+def test_each_grain_may_have_its_own_rank():
     scene = scene_of(column(2), Impulse(velocity=1e-4), 1e-5, 3)
-    with pytest.raises(InputError, match="ranks: must be at most one per grain"):
-        simulate(scene, "lammps", ranks=3)
-    for wrong in (0, -1, 2.0, True):
-        with pytest.raises(InputError, match="ranks: must be a whole number"):
-            Lammps(ranks=wrong)
     assert same(simulate(scene, "lammps"), simulate(scene, "lammps", ranks=2))
 
 
@@ -364,14 +341,16 @@ def test_more_ranks_than_grains_are_rejected():
 def test_dump_of_two_ranks(tmp_path):
     """The files of a run do not depend on the number of ranks."""
     for ranks in (1, 2):
-        simulate(
-            MIDDLE,
-            engine=Lammps(
-                "verlet", step=1e-7, diameter="physical", keep=tmp_path / str(ranks), ranks=ranks
-            ),
-        )
+        simulate(MIDDLE, Lammps(**OPTIONS, keep=tmp_path / str(ranks), ranks=ranks))
     for name in ("column.lammpstrj", "in.column", "column.data"):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+
+
+@pytest.fixture
+def middle(tmp_path: Path) -> str:
+    """Return a scene file."""
+    MIDDLE.to_toml(tmp_path / "scene.toml")
+    return str(tmp_path / "scene.toml")
 
 
 def mpirun(*words: str | Path, ranks: int = 2, **options) -> subprocess.Popen[str]:
@@ -382,26 +361,24 @@ def mpirun(*words: str | Path, ranks: int = 2, **options) -> subprocess.Popen[st
 
 
 @pytest.mark.slow
-def test_plain_mpirun_of_the_command_line(tmp_path):
-    MIDDLE.to_toml(tmp_path / "scene.toml")
-    words = ("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "--engine", "lammps", "-o")
-    code, said = ended(mpirun(*words, tmp_path / "two.nc"))
+def test_plain_mpirun_of_the_command_line(middle, tmp_path):
+    def run(*words: str | Path, scene: str = middle) -> tuple[int, str]:
+        return ended(mpirun("-m", "lmpchain.cli", "run", scene, *words))
+
+    code, said = run("--engine", "lammps", "-o", tmp_path / "two.nc")
     assert code == 0, said
     assert said.count("engine ") == 1, "one rank speaks for all"
     two = Trajectory.load(tmp_path / "two.nc")
     assert two.cost.ranks == 2
     assert same(two, simulate(MIDDLE, "lammps"))
-    code, said = ended(
-        mpirun("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "-o", tmp_path / "native.nc")
-    )
-    assert code == 0
-    assert said.count("the engine auto runs on one rank") == 1
-    code, said = ended(mpirun("-m", "lmpchain.cli", "run", tmp_path / "none.toml"))
-    assert code == 2
-    assert said.count("there is no such file") == 1
-    code, said = ended(mpirun(*words, tmp_path / "three.nc", "--ranks", "3"))
-    assert code == 2
-    assert "leave the number of ranks out" in said
+    for words, scene, fails, message in (
+        (("-o", tmp_path / "native.nc"), middle, 0, "the engine auto runs on one rank"),
+        ((), str(tmp_path / "none.toml"), 2, "there is no such file"),
+        (("--engine", "lammps", "--ranks", "3"), middle, 2, "leave the number of ranks out"),
+    ):
+        code, said = run(*words, scene=scene)
+        assert code == fails
+        assert said.count(message) == 1
 
 
 MPICH = {"PMI_SIZE": "4", "PMI_RANK": "1", "PMI_FD": "99"}
@@ -409,23 +386,22 @@ OPEN_MPI = {"OMPI_COMM_WORLD_SIZE": "4", "OMPI_COMM_WORLD_RANK": "3"}
 SLURM = {"SLURM_PROCID": "2", "SLURM_STEP_ID": "0", "SLURM_STEP_NUM_TASKS": "4"}
 
 
+def alone(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run a command without a launcher, with these variables."""
+    command = [sys.executable, "-m", "lmpchain.cli", *words]
+    environment = os.environ | variables
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
 @pytest.mark.slow
-def test_the_variables_of_another_program(tmp_path):
+def test_the_variables_of_another_program(middle, tmp_path):
     """A command started by another MPI program runs on its own on each rank, as does LAMMPS."""
-    MIDDLE.to_toml(tmp_path / "scene.toml")
-    scene = f"{tmp_path}/scene.toml"
     for words, output in (
-        (("run", scene, "--engine", "native", "-o"), "run.nc"),
-        (("run", scene, "-o"), "folder/"),
-        (("compare", scene, "--engines", "lammps,native", "--json"), "compared.json"),
+        (("run", middle, "--engine", "native", "-o"), "run.nc"),
+        (("run", middle, "-o"), "folder/"),
+        (("compare", middle, "--engines", "lammps,native", "--json"), "compared.json"),
     ):
-        done = subprocess.run(
-            [sys.executable, "-m", "lmpchain.cli", *words, f"{tmp_path}/{output}"],
-            env=os.environ | MPICH | OPEN_MPI | SLURM,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = alone(*words, f"{tmp_path}/{output}", **MPICH, **OPEN_MPI, **SLURM)
         assert done.returncode == 0, done.stderr
         assert "rank" not in done.stderr
         assert (tmp_path / output).exists()
@@ -433,16 +409,14 @@ def test_the_variables_of_another_program(tmp_path):
 
 
 @pytest.mark.slow
-def test_scripts_under_mpirun_run_alone(tmp_path):
+def test_scripts_under_mpirun_run_alone(middle, tmp_path):
     """A script that every rank runs separately, such as a sweep, gets one LAMMPS per rank."""
     script = tmp_path / "script.py"
     script.write_text(
         "import lmpchain, sys\n"
-        f"scene = lmpchain.Scene.from_toml({str(tmp_path / 'scene.toml')!r})\n"
-        "t = lmpchain.simulate(scene, 'lammps')\n"
+        f"t = lmpchain.simulate(lmpchain.Scene.from_toml({middle!r}), 'lammps')\n"
         "sys.stdout.write(f'{t.cost.ranks} {t.velocity[-1].sum()!r}\\n')\n"
     )
-    MIDDLE.to_toml(tmp_path / "scene.toml")
     code, said = ended(mpirun(script))
     assert code == 0, said
     first, second = said.split("\n")[:2]
@@ -465,9 +439,7 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
 
     monkeypatch.setattr(lammps_engine, "gather", gather)
     with pytest.raises(EngineUnavailable, match=r"a rank of LAMMPS died.*EXIT CODE: 9"):
-        simulate(
-            ENDLESS, engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", ranks=2)
-        )
+        simulate(ENDLESS, Lammps(**OPTIONS, ranks=2))
     assert not Path(f"/proc/{started[0].pids[0]}").exists()
 
 
@@ -499,28 +471,10 @@ def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
 def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
     """Start a long run under mpirun; return the working run and its ranks."""
     ENDLESS.to_toml(tmp_path / "endless.toml")
-    words = [
-        "run",
-        tmp_path / "endless.toml",
-        "--engine",
-        "lammps",
-        "--integrator",
-        "verlet",
-        "--step",
-        "1e-7",
-    ]
+    options = ("--engine", "lammps", *(f"--{key}={value}" for key, value in OPTIONS.items()))
+    words = ("run", tmp_path / "endless.toml", *options, "-o", tmp_path / "x.nc")
     mark = f"MARK={os.getpid()}-{tmp_path.name}"
-    environment = os.environ | dict([mark.split("=")])
-    process = mpirun(
-        "-m",
-        "lmpchain.cli",
-        *words,
-        "--diameter",
-        "physical",
-        "-o",
-        tmp_path / "x.nc",
-        env=environment,
-    )
+    process = mpirun("-m", "lmpchain.cli", *words, env=os.environ | dict([mark.split("=")]))
     ranks: dict[int, int] = {}
 
     def started() -> bool:
@@ -528,9 +482,8 @@ def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
         for each in processes(mark):
             with suppress(OSError):
                 entries = Path(f"/proc/{each}/environ").read_bytes().split(b"\0")
-                ranks.update(
-                    {int(entry[9:]): each for entry in entries if entry.startswith(b"PMI_RANK=")}
-                )
+                rank = [int(entry[9:]) for entry in entries if entry.startswith(b"PMI_RANK=")]
+                ranks.update(dict.fromkeys(rank, each))
         return len(ranks) == 2
 
     until(started)
@@ -563,7 +516,7 @@ def test_ctrl_c_stops_all_ranks(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_error_on_one_rank_ends_all_ranks_with_its_message(tmp_path):
+def test_an_error_on_one_rank_ends_all_ranks_with_its_message(middle, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import sys\n"
@@ -574,31 +527,19 @@ def test_an_error_on_one_rank_ends_all_ranks_with_its_message(tmp_path):
         "    raise FloatingPointError('the third digit of pi')\n"
         "if mpi.library().COMM_WORLD.rank == 1:\n"
         "    Worker._split = fail\n"
-        f"sys.exit(cli.main(['run', {str(tmp_path / 'scene.toml')!r}, '--engine', 'lammps']))\n"
+        f"sys.exit(cli.main(['run', {middle!r}, '--engine', 'lammps']))\n"
     )
-    MIDDLE.to_toml(tmp_path / "scene.toml")
     code, said = ended(mpirun(script))
     assert code == 1
     assert "error: rank 1: the third digit of pi" in said
 
 
 @pytest.mark.slow
-def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):
-    MIDDLE.to_toml(tmp_path / "scene.toml")
-    words = ["run", str(tmp_path / "scene.toml"), "--engine", "lammps"]
-    done = subprocess.run(
-        [sys.executable, "-m", "lmpchain.cli", *words],
-        env=os.environ | {"OMPI_COMM_WORLD_SIZE": "2"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def test_a_foreign_mpirun_is_recognised(middle, launch):
+    done = alone("run", middle, "--engine", "lammps", OMPI_COMM_WORLD_SIZE="2")
     assert done.returncode == 1
     assert "mpirun has started 2 processes, but MPI finds 1," in done.stderr
-    fake = tmp_path / "mpiexec"
     # The script starts one process, whatever number is requested.
-    fake.write_text('#!/bin/sh\nshift 2\nexec "$@"\n')
-    fake.chmod(0o755)
-    monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
+    launch('#!/bin/sh\nshift 2\nexec "$@"\n')
     with pytest.raises(EngineUnavailable, match="cannot communicate"):
         simulate(MIDDLE, "lammps", ranks=2)
