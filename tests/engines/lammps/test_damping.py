@@ -112,15 +112,6 @@ def test_a_deck_runs_on_its_own(name, tmp_path):
     assert abs(v - answer.velocity).max() < 1e-15 * scene.highest_frequency
 
 
-@pytest.mark.slow
-def test_ranks_give_the_bytes_of_a_single_process():
-    scene = struck(CHAINS["held"], 1e-3, 3e-5, 7)
-    options = {"step": 3e-8, "diameter": "physical"}
-    one = simulate(scene, engine=Lammps("verlet", **options))
-    two = simulate(scene, engine=Lammps("verlet", **options, ranks=2))
-    assert one.velocity.tobytes() == two.velocity.tobytes()
-
-
 def test_a_resumed_run_has_the_same_bits():
     scene = struck(CHAINS["held"], 1e-3, 3e-5, 7)
     engine = Lammps("verlet", step=3e-8, diameter="physical")

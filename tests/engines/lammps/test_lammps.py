@@ -1,15 +1,17 @@
 """Features of the LAMMPS engine: decks, dumps, diameters, grain types and unreported faults."""
 
-import filecmp
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from copy import deepcopy
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.checked_lammps import check_deck
 from helpers.example_chains import column
 from helpers.example_scenes import paper, scene_of, struck
-from helpers.independent_integrators import distance, extended_reference
 from helpers.standalone_lammps import lmp, read_dump, small
 from helpers.thinned import thinned
 
@@ -82,27 +84,12 @@ WAYS = [("verlet", "physical"), ("verlet", "gauge"), ("kahan-li6", "gauge")]
     ],
 )
 def test_a_complete_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
-    scene = DECKS[name]
-    step = 1e-7
-    if scene.drive and integrator != "verlet":
+    options = {"step": 1e-7, "integrator": integrator, "diameter": diameter}
+    if DECKS[name].drive and integrator != "verlet":
         with pytest.raises(InputError, match="must be verlet in a deck with a drive or a force"):
-            write_deck(scene, tmp_path, step=step, integrator=integrator, diameter=diameter)
-        return
-    write_deck(scene, tmp_path / "deck", step=step, integrator=integrator, diameter=diameter)
-    lmp(tmp_path / "deck", "-screen", "none")
-    engine = Lammps(integrator=integrator, step=step, diameter=diameter, keep=tmp_path / "library")
-    t = simulate(scene, engine=engine)
-    alone, inside = (tmp_path / folder / "column.lammpstrj" for folder in ("deck", "library"))
-    assert filecmp.cmp(alone, inside, shallow=False)
-    assert filecmp.cmp(
-        tmp_path / "deck" / "in.column", tmp_path / "library" / "in.column", shallow=False
-    )
-    u, v = read_dump(alone)
-    assert np.array_equal(u[1:], t.displacement[1:])
-    assert np.array_equal(v, t.velocity)
-    assert np.abs(u).max() > 0
-    # A dump contains heights, including the initial ones.
-    assert u[0] == pytest.approx(t.displacement[0], rel=0, abs=1e-17)
+            write_deck(DECKS[name], tmp_path, **options)
+    else:
+        check_deck(DECKS[name], tmp_path, **options)
 
 
 AGREEING = {
@@ -124,13 +111,8 @@ AGREEING = {
 @pytest.mark.parametrize("name", thinned(AGREEING, 2))
 def test_lammps_agrees_with_the_native_engine(name: str, integrator: str):
     """Masses, constants, walls, loads and forcing of a column are those of the scene."""
-    ours, theirs = (
-        simulate(AGREEING[name], engine)
-        for engine in (
-            Native(integrator, step=1e-7),
-            Lammps(integrator, step=1e-7, diameter="gauge"),
-        )
-    )
+    engines = Native(integrator, 1e-7), Lammps(integrator, 1e-7, "gauge")
+    ours, theirs = (simulate(AGREEING[name], engine) for engine in engines)
     for field in ("displacement", "velocity"):
         motion = getattr(ours, field)
         # The rounding of heights.
@@ -138,26 +120,9 @@ def test_lammps_agrees_with_the_native_engine(name: str, integrator: str):
         np.testing.assert_allclose(getattr(theirs, field), motion, rtol=0, atol=off)
 
 
-def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
-    """Positions as float32 lose the wave; the additional column preserves it."""
-    write_deck(paper("fig5 g", samples=3), tmp_path, step=1e-7)
-    lmp(tmp_path)
-    u, v = read_dump(tmp_path / "column.lammpstrj")
-    reference = extended_reference(paper("fig5 g", samples=3))
-    assert distance((u, v), reference) < 1e-3  # The error of velocity Verlet at 0.1 us.
-    again = simulate(
-        paper("fig5 g", samples=3),
-        engine=Lammps(integrator="verlet", step=1e-7, diameter="physical"),
-    )
-    assert u == pytest.approx(again.displacement, rel=1e-12, abs=0)
-
-
 def test_variables_of_a_deck_can_be_set_on_the_command_line(tmp_path):
     write_deck(small(), tmp_path, step=1e-7)
-    t = simulate(
-        small(Impulse(velocity=1e-5)),
-        engine=Lammps(integrator="verlet", step=5e-8, diameter="physical"),
-    )
+    t = simulate(small(Impulse(velocity=1e-5)), Lammps("verlet", 5e-8, "physical"))
     every = t.cost.steps // 5
     values = {"v0": 1e-5, "dt": t.cost.step_s, "every": every, "dump": "other.lammpstrj"}
     lmp(tmp_path, *(word for name, value in values.items() for word in ("-var", name, str(value))))
@@ -172,38 +137,28 @@ def test_a_deck_states_the_choices_and_reasons(tmp_path):
     assert "the tolerance of 1e-06 cannot be met: LAMMPS stores heights" in text
     text = write_deck(paper("weak", samples=3), tmp_path / "auto", diameter="auto").read_text()
     assert "gauge diameter: round-off in heights is about" in text
-    text = write_deck(
-        paper("fig1", samples=3), tmp_path / "strong", tolerance=1e-4, diameter="auto"
-    ).read_text()
+    strong = paper("fig1", samples=3)
+    text = write_deck(strong, tmp_path / "strong", tolerance=1e-4, diameter="auto").read_text()
     assert "physical diameter:" in text
     with pytest.raises(InputError, match=r"duration: would take some .* years"):
         write_deck(small().replace(duration=1e8), tmp_path / "refused", step=1e-7)
     assert not (tmp_path / "refused").exists()
 
 
-@pytest.mark.parametrize("damping", [None, {"viscoelastic": 3e-8}])
-def test_pair_styles_agree(damping: dict[str, float] | None):
-    scene = paper("fig1", samples=3)
-    scene = scene.replace(chain=scene.chain.replace(damping=damping))
-    options = {"integrator": "verlet", "step": 5e-8, "diameter": "physical"}
+@pytest.mark.parametrize(
+    ("changes", "within"),
+    # Unequal grains of one material have one constant with own radii, but many with gauges.
+    [({}, 1e-15), ({"damping": {"viscoelastic": 3e-8}}, 1e-15),
+     ({"diameter": np.linspace(1e-3, 2e-3, 25)}, 1e-14)],
+)  # fmt: skip
+def test_pair_styles_agree(changes: dict[str, Any], within: float):
+    scene = small(Impulse(velocity=8.57e-3), **changes)
     one, other = (
-        simulate(scene, Lammps(**options, pair_style=style))
+        simulate(scene, Lammps("verlet", 5e-8, "physical", pair_style=style))
         for style in ("granular", "gran/hertz/history")
     )
-    assert np.abs(one.displacement - other.displacement).max() < 1e-15
+    assert np.abs(one.displacement - other.displacement).max() < within
     assert np.abs(one.displacement).max() > 1e-8
-
-
-def test_only_the_diameter_asked_for_must_be_expressible():
-    """Unequal grains of one material have one constant with own radii, but many with gauges."""
-    scene = small(diameter=np.linspace(1e-3, 2e-3, 25))
-    options = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
-    fast, slow = (
-        simulate(scene, engine=Lammps(**options, pair_style=s))
-        for s in ("gran/hertz/history", "granular")
-    )
-    assert np.abs(fast.displacement - slow.displacement).max() < 1e-14
-    assert np.abs(fast.displacement).max() > 1e-9
 
 
 def test_an_unsupported_splitting_leaves_no_deck(tmp_path):
@@ -213,21 +168,14 @@ def test_an_unsupported_splitting_leaves_no_deck(tmp_path):
 
 def test_unlike_contacts_share_few_types(rng):
     """N different contacts need about sqrt(2 N) types; each contact has its own force."""
-    chain = Chain(
-        grains=200,
-        material="glass",
-        diameter=1e-3,
-        contact_constants=rng.uniform(1, 3, 199) * 1e9,
-        exponent=1.5,
-    )
+    constants = rng.uniform(1, 3, 199) * 1e9
+    chain = Chain(grains=200, diameter=1e-3, contact_constants=constants, exponent=1.5)
     column = LammpsColumn(struck(chain, 1e-4, 1e-5), gauge=1e-6)
     assert max(column.types) < 40
-    given = [
-        column._types_and_contacts[1][tuple(sorted(pair))].stiffness
-        for pair in zip(column.types, column.types[1:], strict=False)
-    ]
+    contacts = column._types_and_contacts[1]
+    given = [contacts[tuple(sorted(pair))].stiffness for pair in pairwise(column.types)]
     radius = column.diameters[0] / 4
-    assert np.array(given) * np.sqrt(radius) == pytest.approx(chain.contact_constants, rel=1e-14)
+    assert np.array(given) * np.sqrt(radius) == pytest.approx(constants, rel=1e-14)
 
 
 def test_refusals_contain_the_remedy(rng):
@@ -235,21 +183,14 @@ def test_refusals_contain_the_remedy(rng):
     unlike = "contact_constants: contact 3 differs from those above it, and 1 grain type.*"
     with pytest.raises(InputError, match=f"{unlike} use pair_style granular"):
         simulate(scene, engine="lammps", pair_style="gran/hertz/history")
-    many = rng.uniform(1, 2, 9_999) * 1e9
+    drive = Drive(amplitude=1e-9, frequency=1e4)
+    many = small(drive, grains=10_000, contact_constants=rng.uniform(1, 2, 9_999) * 1e9)
     with pytest.raises(InputError, match=r"contact_constants: .*use the native engine"):
-        simulate(
-            small(Drive(amplitude=1e-9, frequency=1e4), grains=10_000, contact_constants=many),
-            engine="lammps",
-        )
-    for option in (
-        {"diameter": "small"},
-        {"pair_style": "gran"},
-        {"integrator": "euler"},
-        {"step": -1.0},
-        {"colour": 1},
-    ):
-        with pytest.raises(InputError, match=next(iter(option))):
-            simulate(small(), engine="lammps", **option)
+        simulate(many, engine="lammps")
+    wrong = {"diameter": "small", "pair_style": "gran", "integrator": "euler", "step": -1.0}
+    for option, value in wrong.items():
+        with pytest.raises(InputError, match=option):
+            simulate(small(), engine="lammps", **{option: value})
 
 
 def test_blow_up_is_noticed():
@@ -268,9 +209,8 @@ def test_rounding_forces_in_a_vacuum_are_no_breakdown(exponent):
 
     There is no energy and nothing moves but the rest, by the last digits of heights.
     """
-    chain = Chain(
-        grains=9, diameter=np.linspace(1e-3, 2e-3, 9), exponent=exponent, gravity=0.0, bottom="free"
-    )
+    vacuum = {"exponent": exponent, "gravity": 0.0, "bottom": "free"}
+    chain = Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9), **vacuum)
     scene = scene_of(chain, Displacement(displacement=-1e-9), 1e-5, 5)
     answer = simulate(scene, "lammps", 1e-6)
     np.testing.assert_allclose(answer.displacement[:, 0], -1e-9, rtol=1e-14)
@@ -278,9 +218,16 @@ def test_rounding_forces_in_a_vacuum_are_no_breakdown(exponent):
     assert answer.error_estimate.total >= np.abs(answer.displacement[:, 1:]).max() / 1e-9
 
 
-def stepper(scene: Scene) -> LammpsStepper:
-    steps = Steps(1, 1, 1e-7)
-    return LammpsStepper(LammpsColumn(scene, gauge=0.0), VERLET, steps, {}, gather(1, "none"))
+@contextmanager
+def stepping(scene: Scene, steps: int = 1, communicator: Any = None) -> Iterator[LammpsStepper]:
+    """Yield a stepper of velocity Verlet with this number of steps for each sample."""
+    made = LammpsColumn(scene, gauge=0.0)
+    ranks = communicator or gather(1, "none")
+    stepper = LammpsStepper(made, VERLET, Steps(steps, 1, 1e-7), {}, ranks)
+    try:
+        yield stepper
+    finally:
+        stepper.close()
 
 
 def test_faults_that_lammps_does_not_report():
@@ -290,13 +237,10 @@ def test_faults_that_lammps_does_not_report():
         (lambda s: s._z.__setitem__(3, s._z[4]), "passed through another"),
         (lambda s: s._communicator._rank._x[:, 0].__setitem__(3, 1e-9), "buckled sideways"),
     ):
-        column = stepper(small())
-        try:
+        with stepping(small()) as column:
             spoil(column)
             with pytest.raises(RunFailed, match=message):
                 column.fill(*np.zeros((2, 1, 1, 25)), offset=1, until=1, max_steps=1)
-        finally:
-            column.close()
 
 
 class Copies(communicators.Serial):
@@ -310,10 +254,7 @@ def test_the_state_between_samples_is_that_of_the_last_step():
     """The motion of other processes is not read at every pause."""
     states = []
     for kind in (communicators.Serial, Copies):
-        column = LammpsStepper(
-            LammpsColumn(small(), 0.0), VERLET, Steps(100, 1, 1e-7), {}, kind("none")
-        )
-        try:
+        with stepping(small(), 100, kind("none")) as column:
             room = np.zeros((2, 1, 2, 25))
             for steps in (50, 3):
                 column.fill(*room, offset=0, until=1, max_steps=steps)
@@ -321,8 +262,6 @@ def test_the_state_between_samples_is_that_of_the_last_step():
             column.fill(*room, offset=0, until=1, max_steps=100)
             assert column.sample == 1
             states.append({"u": room[0, 0, 1], "v": room[1, 0, 1], "done": column.steps})
-        finally:
-            column.close()
     for one, other in zip(states[:2], states[2:], strict=True):
         for key, values in one.items():
             assert np.array_equal(other[key], values)
@@ -331,18 +270,13 @@ def test_the_state_between_samples_is_that_of_the_last_step():
 
 def test_a_breakdown_before_the_next_sample_is_detected():
     """Reading many grains costs a part of a step, so that not every pause is checked."""
-    column = LammpsStepper(
-        LammpsColumn(small(), gauge=0.0), VERLET, Steps(10**6, 1, 1e-7), {}, gather(1, "none")
-    )
-    try:
+    with stepping(small(), 10**6) as column:
         column._communicator._rank._x[3, 2] = np.nan
         room = np.zeros((2, 1, 1, 25))
         for _ in range(31):
             column.fill(*room, offset=1, until=1, max_steps=1)
         with pytest.raises(RunFailed, match="heights are not finite"):
             column.fill(*room, offset=1, until=1, max_steps=1)
-    finally:
-        column.close()
 
 
 def test_unused_data_are_not_written(tmp_path):

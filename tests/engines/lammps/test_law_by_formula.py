@@ -1,28 +1,31 @@
 """Contact laws by formula in LAMMPS: native engine and SciPy, decks, ranks, stops."""
 
-import filecmp
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.standalone_lammps import lmp, read_dump
-from helpers.stopped_runs import stop_three_times
+from helpers.checked_lammps import check_agreement, check_deck, check_resumed
 from scipy.integrate import solve_ivp
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Law, Scene, laws, simulate
-from lmpchain.engines import Lammps, Native
-from lmpchain.engines.lammps.deck_reader import read_deck
+from lmpchain import Chain, Drive, Force, Impulse, Law, Scene, laws, simulate
+from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.engine import gauge_diameter
-from lmpchain.engines.lammps.export import write_deck
 
 ROW: dict[str, Any] = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
 K = 1e3  # Contact constant, N/m.
 STRIKE = Impulse(velocity=0.02)
 WEAKER = Impulse(velocity=0.01)
 CUBIC = Law("k*max(o, 0)**1.5*(1 + c*o)", c=1e4)
-EXPONENTS = np.linspace(1.3, 1.7, 11).tolist()
+MANY = Law("k*max(o, 0)**p", k=1e6, p=np.linspace(1.3, 1.7, 11).tolist())
+UNLIKE = np.linspace(1e3, 2e3, 11).tolist()
+WEAK, SOFT, ADHESIVE = (
+    laws.power(0.6, k=10.0),
+    laws.softening(1e-6, k=K),
+    laws.dmt(1e-3, 1e-7, k=5e8),
+)
+WALLS: dict[str, Any] = {"top": "wall", "bottom": "wall", "top_load": 0.01}
 TODA = laws.toda(1e5, k=K)
 FPUT = laws.fput(1e7, 1e14, k=K)
 PUSH = Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1e-4)
@@ -34,42 +37,18 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
     "fput, driven": ({"law": FPUT}, Drive(amplitude=1e-7, frequency=5e3), 1.5e-4),
     "springs": ({"law": Law("A*o", A=K)}, STRIKE, 5e-4),
     "bilinear": ({"law": laws.bilinear(0.3, k=K)}, STRIKE, 5e-4),
-    "an exponent below 1": (
-        {"law": laws.power(0.6, k=10.0), "top_load": 1e-3},
-        Impulse(velocity=0.002),
-        1.5e-4,
-    ),
-    "softening": (
-        {"law": laws.softening(1e-6, k=K), "top_load": 3e-4},
-        Impulse(velocity=0.005),
-        2.5e-4,
-    ),
-    "one exponent a contact": (
-        {"law": Law("k*max(o, 0)**p", k=1e6, p=EXPONENTS), "gravity": 9.81},
-        WEAKER,
-        5e-4,
-    ),
+    "an exponent below 1": ({"law": WEAK, "top_load": 1e-3}, Impulse(velocity=0.002), 1.5e-4),
+    "softening": ({"law": SOFT, "top_load": 3e-4}, Impulse(velocity=0.005), 2.5e-4),
+    "one exponent a contact": ({"law": MANY, "gravity": 9.81}, WEAKER, 5e-4),
     "Hertz": ({"law": Law("k*max(o, 0)**1.5", k=5e8), "gravity": 9.81}, WEAKER, 1e-4),
     "stiffer than Hertz": ({"law": CUBIC, "gravity": 9.81}, WEAKER, 1e-4),
     "exponent 2.5": ({"law": laws.power(2.5, k=1e13), "top_load": 0.01}, WEAKER, 1e-4),
-    "adhesion": (
-        {"law": laws.dmt(1e-3, 1e-7, k=5e8), "top_load": 0.01},
-        Impulse(velocity=0.003),
-        5e-5,
-    ),
+    "adhesion": ({"law": ADHESIVE, "top_load": 0.01}, Impulse(velocity=0.003), 5e-5),
     "polynomial": ({"law": Law("k*o + b*o**3 + c*o**5", k=K, b=1e13, c=1e24)}, STRIKE, 5e-4),
     "bistable": ({"law": laws.bistable(1e-4, 2e-4, k=K)}, STRIKE, 5e-4),
-    "unlike springs": (
-        {"law": Law("k*o + b*o**3", k=np.linspace(1e3, 2e3, 11).tolist(), b=1e13)},
-        STRIKE,
-        5e-4,
-    ),
+    "unlike springs": ({"law": Law("k*o + b*o**3", k=UNLIKE, b=1e13)}, STRIKE, 5e-4),
     "drag": ({"law": TODA, "damping": {"drag": 300.0}}, STRIKE, 5e-4),
-    "walls": (
-        {"law": CUBIC, "gravity": 9.81, "top": "wall", "bottom": "wall", "top_load": 0.01},
-        WEAKER,
-        1e-4,
-    ),
+    "walls": ({"law": CUBIC, "gravity": 9.81, **WALLS}, WEAKER, 1e-4),
 }
 MOVED = [f"{name} + moving wall" for name in CASES if isinstance(CASES[name][1], Impulse)]
 VISCOUS = [f"{name} + viscous" for name in CASES]
@@ -109,21 +88,10 @@ def some(names: tuple[str, ...], among: list[str] = NAMES) -> list[Any]:
     ]
 
 
-def check_agreement(scene: Scene, integrator: str, step: float) -> None:
-    """Check that both engines agree at the same steps, but for the rounding of heights."""
-    native = simulate(scene, Native(integrator=integrator, step=step))
-    ours = simulate(scene, Lammps(integrator=integrator, step=step, diameter="gauge"))
-    largest = np.abs(native.velocity).max()
-    assert native.cost.steps == ours.cost.steps
-    assert np.abs(native.velocity - ours.velocity).max() < 1e-10 * largest
-    expected = native.error_estimate.solver
-    assert ours.error_estimate.solver == pytest.approx(expected, rel=1e-3, abs=1e-10)
-
-
 @pytest.mark.parametrize("name", some(DEFAULT))
 def test_lammps_and_native_differ_by_less_than_1e_10_at_the_same_steps(name: str):
     scene, step = case(name)
-    check_agreement(scene, "verlet", step)
+    check_agreement(scene, step)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +99,7 @@ def test_lammps_and_native_differ_by_less_than_1e_10_at_the_same_steps(name: str
 )
 def test_drifts_of_a_splitting_end_at_the_wall(name: str):
     scene, step = short_case(name)
-    check_agreement(scene, "rkn6", step)
+    check_agreement(scene, step, "rkn6")
 
 
 def test_a_wall_follows_a_curve_through_points():
@@ -139,7 +107,7 @@ def test_a_wall_follows_a_curve_through_points():
     time = np.linspace(0.0, 0.7 * scene.duration, 15)
     curve = scene.excitation.waveform.at(time)
     drive = Drive(grain=0, times=time, displacement=curve - curve[0])
-    check_agreement(scene.replace(excitation=drive), "verlet", step)
+    check_agreement(scene.replace(excitation=drive), step)
 
 
 REFERENCES: dict[str, Callable[[Any], Any]] = {
@@ -164,9 +132,8 @@ def test_the_estimate_covers_the_error_against_scipy(name: str):
         return np.concatenate((v, np.append(pull[:-1], 0.0)))
 
     start = np.concatenate(scene.initial())
-    solution = solve_ivp(
-        rates, (0, scene.duration), start, "DOP853", scene.time, rtol=1e-12, atol=1e-22
-    )
+    span = 0, scene.duration
+    solution = solve_ivp(rates, span, start, "DOP853", scene.time, rtol=1e-12, atol=1e-22)
     wanted = solution.y[scene.chain.grains :].T
     t = simulate(scene, Lammps(integrator="verlet", step=step, diameter="gauge"))
     error = np.abs(t.velocity - wanted).max() / np.abs(wanted).max()
@@ -177,15 +144,7 @@ def test_the_estimate_covers_the_error_against_scipy(name: str):
 @pytest.mark.parametrize("name", some(("toda under gravity", BOTH)))
 def test_a_deck_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
     scene, step = short_case(name)
-    write_deck(scene, tmp_path / "deck", step=step)
-    lmp(tmp_path / "deck", "-screen", "none")
-    engine = Lammps("verlet", step=step, diameter="physical", keep=tmp_path / "library")
-    t = simulate(scene, engine)
-    alone, inside = (tmp_path / at / "column.lammpstrj" for at in ("deck", "library"))
-    assert filecmp.cmp(alone, inside, shallow=False)
-    u, v = read_dump(alone)
-    assert np.abs(u).max() > 0
-    assert np.array_equal(v, t.velocity)
+    check_deck(scene, tmp_path, step=step)
 
 
 def test_bonds_that_are_stretched_at_rest_have_a_gauge_diameter():
@@ -201,35 +160,6 @@ def test_rkn6_meets_a_tolerance():
     largest = np.abs(exact.velocity).max()
     assert np.abs(t.velocity - exact.velocity).max() < 1e-8 * largest
     assert t.cost.integrator == "rkn6"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "toda under gravity",
-        BOTH,
-        *(
-            pytest.param(name, marks=pytest.mark.soak)
-            for name in (
-                "one exponent a contact + viscous",
-                "one exponent a contact",
-                "walls",
-                "adhesion + moving wall",
-            )
-        ),
-    ],
-)
-def test_two_ranks_give_the_bytes_of_a_single_process(name: str):
-    scene, step = case(name)
-    for diameter in ("physical", "gauge"):
-        one, two = (
-            simulate(scene, Lammps("verlet", step=step, diameter=diameter, ranks=ranks))
-            for ranks in (1, 2)
-        )
-        assert two.cost.ranks == 2
-        assert np.array_equal(one.displacement, two.displacement)
-        assert np.array_equal(one.velocity, two.velocity)
 
 
 def test_the_expected_time_counts_the_formula_of_every_contact():
@@ -249,33 +179,4 @@ def test_a_resumed_run_gives_the_same_bits(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     scene, step = case(name)
-    engine = Lammps("verlet", step=2 * step, diameter="gauge")
-    whole = simulate(scene, engine)
-    answer = stop_three_times(scene, engine, tmp_path / "run", monkeypatch)
-    assert np.array_equal(answer.displacement[:], whole.displacement)
-    assert np.array_equal(answer.velocity[:], whole.velocity)
-
-
-@pytest.mark.parametrize("name", some(("toda under gravity", "walls", "drag", BOTH)))
-def test_a_deck_is_read_back_with_its_scene(name: str, tmp_path: Path):
-    scene, step = case(name)
-    write_deck(scene, tmp_path, step=step)
-    with pytest.raises(InputError, match="has a formula with numbers instead of parameters"):
-        read_deck(tmp_path)
-    read = read_deck(tmp_path, scene)
-    assert read.scene.chain == scene.chain
-    assert read.step == pytest.approx(step, rel=1e-9)
-    data = tmp_path / "column.data"
-    data.write_text(
-        data.read_text().replace("\n3 1 3 4\n", "\n3 1 3 5\n").replace("3 3 3 4", "3 2 3 4")
-    )
-    with pytest.raises(InputError, match="other bonds than the contacts"):
-        read_deck(tmp_path, scene)
-
-
-def test_a_deck_of_another_law_is_refused(tmp_path: Path):
-    scene, step = case("toda")
-    write_deck(scene, tmp_path, step=step)
-    other = scene.replace(chain=scene.chain.replace(law=laws.toda(1.1e5, k=K)))
-    with pytest.raises(InputError, match="can be predicted"):
-        read_deck(tmp_path, other)
+    check_resumed(scene, Lammps("verlet", 2 * step, "gauge"), tmp_path / "run", monkeypatch)
