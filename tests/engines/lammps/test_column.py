@@ -4,6 +4,7 @@ And what the engine chooses and refuses.
 """
 
 import math
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +18,6 @@ from lmpchain import (
     Displacement,
     Drive,
     EngineUnavailable,
-    Force,
     Impulse,
     InputError,
     Law,
@@ -59,13 +59,12 @@ def test_every_gap_is_within_the_skin_and_every_grain_within_the_box():
         made = lammps_column(excitation, gravity=0.0, top_load=0.0, top="free", bottom="free")
         z, _ = made.start
         gaps = z[:-1] - z[1:] - (made.diameters[:-1] + made.diameters[1:]) / 2
-        assert made.skin >= max(gaps.max(), 0) + 0.2 * made.diameters.max()
-        assert made.skin <= max(gaps.max(), 0) + 0.5 * made.diameters.max()
+        margin = (made.skin - max(gaps.max(), 0)) / made.diameters.max()
+        assert 0.2 <= margin * (1 + 1e-12) <= 0.5
         left, right, low, high = made.box
         assert left == -right
         assert right == pytest.approx(made.diameters.max() + made.skin, rel=1e-12)
-        assert z.min() - low == pytest.approx(right, rel=1e-9)
-        assert high - z.max() == pytest.approx(right, rel=1e-9)
+        assert [z.min() - low, high - z.max()] == pytest.approx([right, right], rel=1e-9)
 
 
 def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
@@ -127,35 +126,12 @@ def test_equal_springs_of_the_ground_pull_grains_back_to_their_place():
         assert LammpsGround(law, rests).spring == stiffness
 
 
-# --- formulas
-
-ACTS = {
-    "sine": Drive(amplitude=1e-9, frequency=3e4),
-    "burst": Drive(amplitude=1e-9, frequency=1e5, cycles=1.3),
-    "points": Drive(
-        times=np.linspace(0, 2.3e-5, 6), displacement=1e-9 * np.array([0, 1.0, -1, 2, 0, 1])
-    ),
-    "half-sine": Force(grain=2, shape="half-sine", amplitude=1e-3, duration=7e-6),
-    "force": Force(grain=2, amplitude=1e-3, frequency=3e4),
-}
-
-
 def test_parts_of_ranks_are_joined_from_the_top():
-    shares = [
-        LocalState(3, np.array([-3.0, -4.0]), np.array([3.0, 4.0]), np.array([8.0, 9.0]), True),
-        LocalState(0, np.empty(0), np.empty(0), np.empty(0), True),
-        LocalState(
-            0,
-            np.array([0.0, -1.0, -2.0]),
-            np.array([0.0, 1.0, 2.0]),
-            np.array([5.0, 6.0, 7.0]),
-            True,
-        ),
-    ]
-    z, v, f = _join(shares)
-    assert f.tolist() == [5.0, 6.0, 7.0, 8.0, 9.0]
-    assert z.tolist() == [0.0, -1.0, -2.0, -3.0, -4.0]
-    assert v.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    def share(first: int, last: int) -> LocalState:
+        return LocalState(first, *(sign * np.arange(first, last) for sign in (-1, 1, 5)), True)
+
+    for found, sign in zip(_join([share(3, 5), share(0, 0), share(0, 3)]), (-1, 1, 5), strict=True):
+        assert found.tolist() == (sign * np.arange(5)).tolist()
 
 
 # --- choices
@@ -163,13 +139,11 @@ def test_parts_of_ranks_are_joined_from_the_top():
 
 def test_the_gauge_diameter_is_three_times_the_largest_overlap_or_more():
     scene = paper("fig5 g", 3)
-    contacts = scene.chain.contacts
-    deepest = contacts.overlap_bound(scene.energy).max()
+    deepest = scene.chain.contacts.overlap_bound(scene.energy).max()
     assert gauge_diameter(scene) == pytest.approx(3 * deepest, rel=1e-12)
-    driven = small(ACTS["sine"])
-    seen = 2e-9
-    expected = 3 * (driven.chain.contacts.overlap.max() + seen)
-    assert gauge_diameter(driven, seen) == pytest.approx(expected, rel=1e-12)
+    driven = small(Drive(amplitude=1e-9, frequency=3e4))
+    expected = 3 * (driven.chain.contacts.overlap.max() + 2e-9)
+    assert gauge_diameter(driven, 2e-9) == pytest.approx(expected, rel=1e-12)
     hard = small(Impulse(velocity=1.0), grains=3)
     deep = 3 * hard.chain.contacts.overlap_bound(hard.energy).max()
     assert gauge_diameter(hard) == (deep if deep < 1e-3 else 0.0)
@@ -178,25 +152,26 @@ def test_the_gauge_diameter_is_three_times_the_largest_overlap_or_more():
 def test_round_off_in_heights_is_predicted_from_their_last_digit():
     """The error is a random walk in the evaluations; in velocities it is times the frequency."""
     scene = paper("fig5 g", 3)
-    engine = Lammps("verlet")
-    height = np.abs(LammpsColumn(scene, 0.0).heights).max()
-    digit = np.spacing(height)
-    alone = engine.round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0]))
+    omega = scene.highest_frequency
+    digit, shrunk = (np.spacing(np.abs(LammpsColumn(scene, g).heights).max()) for g in (0.0, 1e-6))
+
+    def lost(
+        size: float, speed: float, gauge: float = 0.0, steps: int = 10_000, name: str = "verlet"
+    ) -> float:
+        return Lammps(name).round_off(scene, gauge, steps, np.array([size, speed]))
+
+    alone = lost(1e-9, 0.0)
     assert 0.3 < alone / (100 * digit / 1e-9) < 1.0
-    assert engine.round_off(scene, 0.0, 40_000, np.array([1e-9, 0.0])) == pytest.approx(
-        2 * alone, rel=1e-12
-    )
-    speed = engine.round_off(scene, 0.0, 10_000, np.array([0.0, 1e-3]))
-    assert speed == pytest.approx(alone * 1e-9 * scene.highest_frequency / 1e-3, rel=1e-12)
-    gauged = engine.round_off(scene, 1e-6, 10_000, np.array([1e-9, 0.0]))
-    shrunk = np.spacing(np.abs(LammpsColumn(scene, 1e-6).heights).max()) / digit
-    assert gauged == pytest.approx(alone * shrunk, rel=1e-12)
-    assert Lammps("rkn6").round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0])) == pytest.approx(
-        alone * math.sqrt(SPLITTINGS["rkn6"].evaluations / SPLITTINGS["verlet"].evaluations),
-        rel=1e-12,
-    )
-    typical = engine.typical_round_off(scene, 10_000, 1e-3)
-    assert typical == pytest.approx(0.16 * 100 * digit * scene.highest_frequency / 1e-3, rel=0.02)
+    evaluations = SPLITTINGS["rkn6"].evaluations / SPLITTINGS["verlet"].evaluations
+    for other, ratio in (
+        (lost(1e-9, 0.0, steps=40_000), 2),
+        (lost(0.0, 1e-3), 1e-9 * omega / 1e-3),
+        (lost(1e-9, 0.0, gauge=1e-6), shrunk / digit),
+        (lost(1e-9, 0.0, name="rkn6"), math.sqrt(evaluations)),
+    ):
+        assert other == pytest.approx(alone * ratio, rel=1e-12)
+    typical = Lammps("verlet").typical_round_off(scene, 10_000, 1e-3)
+    assert typical == pytest.approx(0.16 * 100 * digit * omega / 1e-3, rel=0.02)
     gauge = Lammps("verlet", diameter="gauge").typical_round_off(scene, 10_000, 1e-3)
     assert gauge < typical / 10
 
@@ -204,8 +179,7 @@ def test_round_off_in_heights_is_predicted_from_their_last_digit():
 def test_the_gauge_diameter_is_used_if_the_physical_one_is_too_coarse():
     scene = paper("weak", 3)
     loose, tight = (Lammps().propose(scene, tolerance) for tolerance in (1e-2, 1e-6))
-    assert loose.choices["diameter"] == "physical"
-    assert loose.choices["drawn_m"] == 0.0
+    assert (loose.choices["diameter"], loose.choices["drawn_m"]) == ("physical", 0.0)
     assert tight.choices["diameter"] == "gauge"
     assert tight.choices["drawn_m"] == tight.choices["gauge_m"] == gauge_diameter(scene)
     assert tight.record()["drawn_m"] == repr(gauge_diameter(scene))
@@ -216,10 +190,8 @@ def test_the_gauge_diameter_is_used_if_the_physical_one_is_too_coarse():
     for share, diameter in ((2.1, "physical"), (1.9, "gauge")):
         proposal = Lammps().propose(scene, share * loose.solver_error)
         assert proposal.choices["diameter"] == diameter
-    with pytest.raises(
-        ToleranceNotMet,
-        match=r"above the tolerance of 1e-06: use the gauge diameter, with an error of .*, or use",
-    ):
+    cure = "above the tolerance of 1e-06: use the gauge diameter, with an error of .*, or use"
+    with pytest.raises(ToleranceNotMet, match=cure):
         Lammps(diameter="physical").propose(scene, 1e-6)
     with pytest.raises(ToleranceNotMet, match=r'integrator "rkn6", which needs far fewer steps'):
         Lammps("verlet").propose(scene.replace(duration=1e-5), 1e-10)
@@ -227,20 +199,16 @@ def test_the_gauge_diameter_is_used_if_the_physical_one_is_too_coarse():
 
 def test_a_run_with_too_coarse_heights_is_repeated_with_the_gauge():
     engine = Lammps()
-    scene = paper("weak", 3)
-    candidate = engine.propose(scene, 1e-2)
+    candidate = engine.propose(paper("weak", 3), 1e-2)
     missed = ErrorBudget(1e-9, 0.6e-2, 6.0)
     better = engine.refine(candidate, missed, 1e-2)
     assert better.choices["diameter"] == "gauge"
     assert better.choices["why"] == "with the physical diameter, round-off was 0.006"
     assert better.steps.per_landing == candidate.steps.per_landing
-    assert (
-        engine.refine(candidate, missed._replace(roundoff=0.4e-2, truncation=0.1), 1e-2).step
-        < candidate.step
-    )
-    assert (
-        Lammps(diameter="physical").refine(candidate, missed._replace(roundoff=1.0), 1e-2) is None
-    )
+    shorter = engine.refine(candidate, missed._replace(roundoff=0.4e-2, truncation=0.1), 1e-2)
+    assert shorter.step < candidate.step
+    rounded = missed._replace(roundoff=1.0)
+    assert Lammps(diameter="physical").refine(candidate, rounded, 1e-2) is None
 
 
 def test_remarks_at_the_head_of_a_deck():
@@ -264,9 +232,8 @@ def test_invalid_options():
     for options in ({"keep": "x"}, {"keep": "x", "include": __file__}):
         kept = Lammps("verlet", **options)
         assert kept.whole
-        with pytest.raises(
-            InputError, match="LAMMPS cannot continue with this option after a stop"
-        ) as refused:
+        fault = "LAMMPS cannot continue with this option after a stop"
+        with pytest.raises(InputError, match=fault) as refused:
             kept.options()
         assert [key for key, _ in refused.value.faults] == list(options)
     assert not Lammps().whole
@@ -288,56 +255,45 @@ def test_escaping_of_command_words(tmp_path):
 
 
 def test_choice_of_communicator(monkeypatch):
-    monkeypatch.setattr(subprocess_ranks, "Serial", lambda log: ("serial", log))
-    monkeypatch.setattr(
-        subprocess_ranks, "SubprocessRanks", lambda ranks, log: ("started", ranks, log)
-    )
-    monkeypatch.setattr(subprocess_ranks, "MpiRanks", lambda world, log: ("world", world.size, log))
-    assert (
-        subprocess_ranks.gather(None, "none")
-        == subprocess_ranks.gather(1, "none")
-        == ("serial", "none")
-    )
-    assert subprocess_ranks.gather(2, "none") == ("started", 2, "none")
+    for kind in ("Serial", "SubprocessRanks", "MpiRanks"):
+        monkeypatch.setattr(subprocess_ranks, kind, lambda *given, kind=kind: (kind, *given))
+    gather = subprocess_ranks.gather
+    assert gather(None, "none") == gather(1, "none") == ("Serial", "none")
+    assert gather(2, "none") == ("SubprocessRanks", 2, "none")
+    world = SimpleNamespace(size=3)
     monkeypatch.setattr(mpi, "count_processes", lambda: 3)
-    monkeypatch.setattr(mpi, "current_world", lambda: SimpleNamespace(size=3))
-    assert (
-        subprocess_ranks.gather(None, "none")
-        == subprocess_ranks.gather(3, "none")
-        == ("world", 3, "none")
-    )
-    with pytest.raises(
-        InputError, match="ranks: mpirun has started 3 processes: leave the number of ranks out"
-    ):
-        subprocess_ranks.gather(2, "none")
+    monkeypatch.setattr(mpi, "current_world", lambda: world)
+    assert gather(None, "none") == gather(3, "none") == ("MpiRanks", world, "none")
+    fault = "ranks: mpirun has started 3 processes: leave the number of ranks out"
+    with pytest.raises(InputError, match=fault):
+        gather(2, "none")
     monkeypatch.setattr(mpi, "current_world", lambda: None)
-    assert subprocess_ranks.gather(1, "none") == ("serial", "none")
-    with pytest.raises(InputError, match="mpirun has started 3"):
-        subprocess_ranks.gather(3, "none")
+    assert gather(1, "none") == ("Serial", "none")
+    with pytest.raises(InputError, match=fault):
+        gather(3, "none")
 
 
-@pytest.mark.parametrize(
-    ("lines", "reason"),
-    [
+def test_last_messages_of_ranks(tmp_path):
+    ranks = SubprocessRanks.__new__(SubprocessRanks)
+    for lines, reason in (
         ("", "the reason is unknown"),
         ("first\nlast |\n", "last"),
         ("error: no such host\nmore", "no such host"),
         ("== BAD TERMINATION ==\n= EXIT CODE: 9 =\nlast", "EXIT CODE: 9"),
         ("one\nValueError: two\nOSError: three", "ValueError: two"),
-    ],
-)
-def test_last_messages_of_ranks(tmp_path, lines, reason):
-    ranks = SubprocessRanks.__new__(SubprocessRanks)
-    with open(tmp_path / "said", "w+b") as said:
-        ranks._output = said
-        said.write(lines.encode())
-        assert ranks._last_words() == reason
+    ):
+        with open(tmp_path / "said", "w+b") as said:
+            ranks._output = said
+            said.write(lines.encode())
+            assert ranks._last_words() == reason
 
 
 def test_errors_of_lammps_are_distinguished_from_others(monkeypatch):
     class Failing:
+        closed = False
+
         def __init__(self, *_):
-            self.closed = False
+            pass
 
         def commands(self, text):
             raise Exception(text)
@@ -349,17 +305,19 @@ def test_errors_of_lammps_are_distinguished_from_others(monkeypatch):
     monkeypatch.setattr(mpi, "alone", lambda: None)
     serial = communicators.Serial("none")
     assert serial.ranks == 1
-    with pytest.raises(RunFailed, match=r"^LAMMPS stopped: ERROR: Lost atoms$"):
-        serial.ask("commands", "ERROR: Lost atoms")
-    with pytest.raises(Exception, match=r"^a minute is over$"):
-        serial.ask("commands", "a minute is over")
+    for kind, text, message in (
+        (RunFailed, "ERROR: Lost atoms", r"^LAMMPS stopped: ERROR: Lost atoms$"),
+        (Exception, "a minute is over", r"^a minute is over$"),
+    ):
+        with pytest.raises(kind, match=message):
+            serial.ask("commands", text)
     serial.close()
     assert serial._rank.closed
 
 
 def test_requirements_on_the_library(monkeypatch):
     class Old:
-        version_ = library.TESTED
+        tested = library.TESTED
         packages = True
         closed = 0
 
@@ -371,12 +329,12 @@ def test_requirements_on_the_library(monkeypatch):
             return self.packages
 
         def version(self):
-            return self.version_
+            return self.tested
 
         def close(self):
             Old.closed += 1
 
-    monkeypatch.setitem(__import__("sys").modules, "lammps", SimpleNamespace(lammps=Old))
+    monkeypatch.setitem(sys.modules, "lammps", SimpleNamespace(lammps=Old))
     cleaned: list[str] = []
     for name in ("unname_shared_memory", "remove_leftovers"):
         monkeypatch.setattr(mpi, name, lambda name=name: cleaned.append(name))
@@ -385,10 +343,9 @@ def test_requirements_on_the_library(monkeypatch):
         assert isinstance(library.open_lammps(), Old)
     # Other processes may still need the name of the shared memory.
     assert cleaned == ["unname_shared_memory", "remove_leftovers", "remove_leftovers"]
-    Old.version_ = library.TESTED - 1
-    with pytest.warns(
-        UserWarning, match=f"LAMMPS {library.TESTED - 1} is older than the tested {library.TESTED}"
-    ):
+    Old.tested -= 1
+    older = f"LAMMPS {library.TESTED - 1} is older than the tested {library.TESTED}"
+    with pytest.warns(UserWarning, match=older):
         library.open_lammps()
     Old.packages = False
     with pytest.raises(EngineUnavailable, match="has no GRANULAR package"):

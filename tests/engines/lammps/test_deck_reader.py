@@ -196,7 +196,7 @@ OTHERS: list[tuple[str, str, str, dict[str, Any], str]] = [
     ("ground", r"(Own\n\n1) \S+\n", r"\1\n", {}, "is not a column's data file"),
     ("formula and gauge", "", "", {"chain": {"grains": 24}}, "has 25 grains, the scene 24"),
     ("formula", "", "", {"chain": {"law": laws.toda(1.1e5, k=1e3)}}, "can be predicted"),
-    ("ground", "", "", {"chain": {"ground": Law("k*u", k=1e4)}}, "can be predicted"),
+    ("ground", "", "", {"chain": {"ground": Law("k*u", k=1e4)}}, "write the deck again"),
     ("formula", "", "", {"chain": {"gravity": 9.81}}, "grains 24 and 25 overlap by"),
     ("formula", "", "", {"excitation": Impulse(velocity=1e-3)}, "v0 index .* is not known"),
     ("formula", "", "", {"excitation": Displacement(displacement=1e-9)}, "starts with 0, in the"),
