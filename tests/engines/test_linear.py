@@ -13,6 +13,7 @@ from helpers.taylor_series import reference
 from helpers.whole_runs import blocks_of
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, engines, simulate
+from lmpchain.engines import Modes
 from lmpchain.engines.linear import engine as linear
 from lmpchain.integrators.kernels.chebyshev import bessel, terms
 
@@ -265,3 +266,14 @@ def test_a_moving_wall_drives_the_first_grain(grains, frequency):
     exact = simulate(scene, "native", 1e-11, integrator="dop853")
     left_out = distance(answer, exact)
     assert left_out < 3 * answer.error_estimate.total
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_the_scale_of_errors_is_the_largest_motion_of_the_run(seed):
+    """For any number of samples, the scale is at most the largest motion, and never far below."""
+    scene = random_linear(seed + 300, (3, 12, 40)[seed % 3]).replace(samples=2)
+    t = simulate(scene.replace(samples=2001), "modes")
+    largest = np.array([np.abs(x).max() for x in (t.displacement, t.velocity)])
+    ratio = Modes().look(scene).scale / largest
+    assert (ratio <= 1.001).all()
+    assert (ratio >= 0.75).all()

@@ -1,11 +1,7 @@
-"""Random trials of the linear engines.
-
-What they say that linearising leaves out, against the nonlinear motion.
-"""
+"""What linear engines say that linearising leaves out, against the nonlinear motion."""
 
 from __future__ import annotations
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -17,83 +13,17 @@ from helpers.independent_integrators import distance
 import lmpchain
 from lmpchain import (
     Chain,
-    Displacement,
     Drive,
     Impulse,
-    InputError,
     Packet,
-    Profile,
     Scene,
-    ToleranceNotMet,
     simulate,
 )
 from lmpchain.engines import Chebyshev, Modes
-from lmpchain.errors import RunFailed
 from lmpchain.stability import find
-from lmpchain.theory.modes import between, eigenmodes
+from lmpchain.theory.modes import between
 
-LINEAR = ("modes", "chebyshev", "bessel", "continuum")
 MOST_POINTS = 40_000  # Number of times at which the largest motion is searched.
-
-
-def drawn(seed: int) -> Scene:
-    """Return a compressed chain with any exponent, ends, motion and recording."""
-    rng = np.random.default_rng(seed)
-    while True:
-        try:
-            return _drawn(rng)
-        except InputError:
-            continue
-
-
-def _drawn(rng: np.random.Generator) -> Scene:
-    grains = int(rng.choice([2, 3, 4, 6, 12, 30, 80]))
-    load = rng.choice(["gravity", "load", "both"])
-    bottom = str(rng.choice(["fixed", "wall"]))
-    even = rng.random() < 0.6
-    kind = str(rng.choice(["impulse", "impulse", "displacement", "profile", "drive"]))
-    chain = Chain(
-        grains=grains,
-        diameter=1e-3 if even else rng.uniform(0.6e-3, 1.6e-3, grains),
-        gravity=0.0 if load == "load" else 9.81,
-        top_load=0.0 if load == "gravity" else 10 ** rng.uniform(-5, -1),
-        exponent=float(
-            rng.choice(
-                [1.0, 1.0, 1.0, rng.uniform(1.0, 1.3), 1.5, 1.5, 2.0, rng.uniform(1, 3), 3.0]
-            )
-        ),
-        top="wall" if load != "gravity" and kind != "drive" and rng.random() < 0.3 else "free",
-        bottom=bottom,
-    )
-    edge = chain.band_edge
-    frequencies = eigenmodes(chain).frequency
-    grain = 1 if rng.random() < 0.5 else int(rng.integers(1, chain.movable + 1))
-    length = float(chain.equilibrium_overlap[min(grain, chain.grains - 1) - 1])
-    strength = 10 ** (rng.uniform(-12, 0.2) if rng.random() < 0.4 else rng.uniform(-3, 0.3))
-    sign = float(rng.choice([-1.0, 1.0]))
-    excitation: lmpchain.scene.base.Excitation
-    frequency = float(rng.choice(frequencies)) * float(
-        rng.choice([1.0, 1.0 + 1e-3, rng.uniform(0.1, 1.5)])
-    )
-    if kind == "impulse":
-        omega = np.sqrt(
-            chain.linear_stiffness[min(grain, chain.grains - 1) - 1] / chain.masses[grain - 1]
-        )
-        excitation = Impulse(velocity=sign * strength * length * omega, grain=grain)
-    elif kind == "displacement":
-        excitation = Displacement(displacement=sign * strength * length, grain=grain)
-    elif kind == "profile":
-        v = strength * length * edge / 2 * rng.normal(size=grains)
-        v[chain.movable :] = 0
-        excitation = Profile(velocity=v)
-    else:
-        excitation = Drive(amplitude=strength * length * 0.3, frequency=frequency / (2 * np.pi))
-    samples = int(rng.choice([2, 3, 4, 5, 11, 51, 101, 1001]))
-    duration = 10 ** rng.uniform(-0.5, 3 if rng.random() < 0.5 else 2) / edge * 6
-    if rng.random() < 0.25:  # Samples at equal phases of one oscillation.
-        half = np.pi / frequency
-        duration = half * (samples - 1) * max(1, round(duration / half / (samples - 1)))
-    return scene_of(chain, excitation, float(duration), samples)
 
 
 class Truth(NamedTuple):
@@ -108,108 +38,29 @@ class Truth(NamedTuple):
         return float((np.abs(found - self.motion).max((1, 2)) / self.scale).max())
 
 
-def truth(scene: Scene) -> Truth | None:
-    """Return the motion by the native engine at 1e-10; None if this is impossible."""
+def truth(scene: Scene) -> Truth:
+    """Return the motion by the native engine at 1e-10."""
     span = scene.duration * max(scene.chain.band_edge, scene.excitation.fastest)
-    finer = int(
-        np.clip(np.ceil(4 * span / (scene.samples - 1)), 1, max(1, MOST_POINTS // scene.samples))
-    )
-    fine = Scene(**scene.given() | {"samples": finer * (scene.samples - 1) + 1})
-    try:
-        run = simulate(fine, "native", 1e-10)
-    except ToleranceNotMet as error:
-        if error.trajectory is None or error.trajectory.error_estimate.total > 1e-4:
-            return None
-        run = error.trajectory
-    except RunFailed:
-        return None
+    most = max(1, MOST_POINTS // scene.samples)
+    finer = int(np.clip(np.ceil(4 * span / scene.intervals), 1, most))
+    run = simulate(scene.replace(samples=finer * scene.intervals + 1), "native", 1e-10)
     motion = np.array([run.displacement, run.velocity])
     return Truth(motion[:, ::finer], np.abs(motion).max((1, 2)))
 
 
-class Trial(NamedTuple):
-    """One solution of a random scene: the engine, its estimate and the true error."""
-
-    seed: int
-    engine: str
-    tolerance: float
-    true: float
-    model: float
-    solver: float
-    bound: float
-
-
-def trials(seed: int) -> list[Trial]:
-    """Return the solutions of all linear engines, and of "auto" if it chose one of them."""
-    scene = drawn(seed)
-    rng = np.random.default_rng([seed, 1])
-    known = truth(scene)
-    rows = []
-    if known is None:
-        return []
-    with warnings.catch_warnings(action="ignore"):
-        for name in LINEAR:
-            engine = lmpchain.engines.get(name)
-            if engine.refuses(engine.part(scene)):
-                continue
-            t = simulate(scene, name, 0.9, on_miss="warn")
-            bound = engine.look(engine.part(scene)).at_most if name == "modes" else np.nan
-            rows.append(
-                Trial(
-                    seed,
-                    name,
-                    np.nan,
-                    known.error(t),
-                    t.error_estimate.model,
-                    t.error_estimate.solver,
-                    bound,
-                )
-            )
-        for _ in range(2):
-            tolerance = float(10 ** rng.uniform(-9, -0.3))
-            try:
-                if lmpchain.plan(scene, tolerance).engine not in LINEAR:
-                    continue
-                t = simulate(scene, tolerance=tolerance, on_miss="warn")
-            except ToleranceNotMet:
-                continue
-            estimate = t.error_estimate
-            rows.append(
-                Trial(
-                    seed,
-                    f"auto {t.engine}",
-                    tolerance,
-                    known.error(t),
-                    estimate.model,
-                    estimate.solver,
-                    np.nan,
-                )
-            )
-    return rows
-
-
-def springs() -> Scene:
-    """Return springs between a wall and a fixed grain, one of which opens between two samples."""
-    chain = column(4, gravity=0.0, top_load=3.3e-3, top="wall", exponent=1.0)
-    unit = float(
-        chain.equilibrium_overlap[2] * np.sqrt(chain.linear_stiffness[2] / chain.masses[2])
-    )
-    strike = Impulse(velocity=1.05 * unit, grain=3)
-    return scene_of(chain, strike, 978 / chain.band_edge, 5)
-
-
 def test_springs_that_open_between_samples_are_solved_by_eq_1():
     """A contact opens between the samples, where Eq. (3) differs from Eq. (1)."""
-    scene = springs()
+    chain = column(4, gravity=0.0, top_load=3.3e-3, top="wall", exponent=1.0)
+    omega = np.sqrt(chain.linear_stiffness[2] / chain.masses[2])
+    strike = Impulse(velocity=float(1.05 * chain.equilibrium_overlap[2] * omega), grain=3)
+    scene = scene_of(chain, strike, 978 / chain.band_edge, 5)
     known = truth(scene)
-    assert known
     t = simulate(scene)
     assert t.equation == 1
     assert known.error(t) < 1e-6
+    said = r"leaves out about .* \(at most 1\).*contact \d opens"
     for engine in ("modes", "chebyshev"):
-        with pytest.warns(
-            UserWarning, match=r"leaves out about .* \(at most 1\).*contact \d opens"
-        ):
+        with pytest.warns(UserWarning, match=said):
             t = simulate(scene, engine)
         assert known.error(t) > 0.1
         assert t.error_estimate.model > known.error(t) / 3
@@ -228,7 +79,7 @@ def test_linear_theory_is_rejected_for_springs_that_cannot_be_resolved():
     assert candidate.model_error == 1.0
     with pytest.warns(UserWarning, match="contacts may open"):
         assert simulate(scene, "modes").error_estimate.model == 1
-    weak = Scene(**scene.given() | {"excitation": strike.scaled(0.98)})
+    weak = scene.replace(excitation=strike.scaled(0.98))
     assert Modes().propose(weak, 1e-6).model_error == 0
     assert simulate(weak, "modes").error_estimate.model == 0
 
@@ -247,34 +98,17 @@ def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, 
     scene = struck(chain, 1e-3 * unit, periods, samples)
     known = truth(scene)
     t = simulate(scene, engine, 0.9)
-    assert known
     assert known.error(t) / 3 < t.error_estimate.model < 0.2
     assert Modes().look(scene).scale == pytest.approx(known.scale, rel=0.01, abs=0)
-
-
-@pytest.mark.parametrize("seed", range(60, 75))
-def test_the_scale_of_errors_is_the_largest_motion_of_the_run(seed):
-    """For any number of samples, the scale is at most the largest motion, and never far below."""
-    scene = drawn(seed)
-    seldom = Scene(
-        **scene.given()
-        | {"samples": 2, "duration": min(scene.duration, 100 / scene.chain.band_edge)}
-    )
-    dense = Scene(**seldom.given() | {"samples": 2001})
-    u, v = (np.abs(x).max() for x in _linear(dense))
-    found = Modes().look(seldom).scale
-    assert (found <= [1.001 * u, 1.001 * v]).all()
-    assert (found >= [0.75 * u, 0.75 * v]).all()
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 @pytest.mark.parametrize("length", [0.2, 1.0, 4.0])
 def test_waves_in_resonance_add_up(engine, length):
-    """In four grains below a driven one, the third mode and the drive nearly force the fourth mode.
+    """In four grains below a driven one, the third mode and the drive force the fourth.
 
-    In four grains below a driven one, the third mode and the drive force the fourth, at 1.005 of
-    its frequency.
+    The beat is at 1.005 of its frequency.
     """
     chain = Chain(
         grains=5,
@@ -290,7 +124,6 @@ def test_waves_in_resonance_add_up(engine, length):
     scene = scene_of(chain, drive, length * 2.61e-4, 199)
     known = truth(scene)
     t = simulate(scene, engine, 0.9)
-    assert known
     assert known.error(t) / 1.3 < Modes().look(scene).estimate < 1.3 * known.error(t)
     # The bound is used while the force acts.
     assert known.error(t) < t.error_estimate.model < 6 * known.error(t)
@@ -315,16 +148,8 @@ def test_waves_that_travel_far_become_steeper(kind):
         grains_passed = 600
     scene = scene_of(chain, excitation, grains_passed / hop, 41)
     t = simulate(scene, "chebyshev", 0.9)
-    nonlinear = simulate(scene, "native", 1e-6)
-    true = distance(t, nonlinear)
+    true = distance(t, simulate(scene, "native", 1e-6))
     assert 1e-3 < true < t.error_estimate.model < 5 * true
-
-
-def _linear(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return the linear motion of all grains."""
-    with warnings.catch_warnings(action="ignore"):
-        t = simulate(scene, "modes", 0.9)
-    return t.displacement, t.velocity
 
 
 @pytest.mark.parametrize(
@@ -344,7 +169,6 @@ def test_estimates_of_linear_theory_agree_for_a_driven_column(amplitude, frequen
     with pytest.warns(UserWarning, match=r"leaves out about .* of the solution \(at most "):
         t = simulate(scene, "chebyshev")
     known = truth(scene)
-    assert known
     true = known.error(t)
     said = t.error_estimate.model
     assert true / 3 < said < 5 * true
@@ -356,22 +180,3 @@ def test_estimates_of_linear_theory_agree_for_a_driven_column(amplitude, frequen
     curves = {curve.name: curve for curve in find._strength(scene)}
     here = np.interp(0.0, np.log10(find.STRENGTHS), curves["Eq. (3), estimate"].y)
     assert here == pytest.approx(estimate, rel=1e-6, abs=0)
-
-
-@pytest.mark.soak
-@pytest.mark.timeout(7200)
-def test_estimates_of_linear_engines_on_random_scenes():
-    """No run of "auto" exceeds its tolerance; one of a thousand estimates is below a third.
-
-    Nine in ten are below seven times the truth: where waves cancel in few samples, estimates do not
-    know.
-    """
-    rows = [row for seed in range(3000) for row in trials(seed)]
-    auto = [row for row in rows if row.engine.startswith("auto")]
-    low = [row for row in rows if row.true > 3 * (row.model + row.solver) + 1e-10]
-    assert len(rows) > 5000
-    assert len(auto) > 500
-    assert [row for row in auto if row.true > row.tolerance + 1e-10] == []
-    assert len({row.seed for row in low}) <= 3, low
-    small = [row for row in rows if row.engine == "modes" and 1e-8 < row.true < 0.3]
-    assert np.quantile([row.model / row.true for row in small], 0.9) < 7

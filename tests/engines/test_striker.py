@@ -125,37 +125,6 @@ def test_derivatives_by_the_load_agree_with_differences():
     assert gradient["top_load"] == pytest.approx((high - low) / 2e-3, rel=1e-5)
 
 
-def test_linear_theories_reject_strikers():
-    struck = scene()
-    for engine in ("modes", "chebyshev", "bessel"):
-        with pytest.raises(InputError, match="grain 1 only touches grain 2"):
-            simulate(struck, engine=engine)
-    chain = struck.chain
-    for theory in (
-        lmpchain.theory.modes.eigenmodes,
-        lambda c: lmpchain.theory.scattering.transmission(c, 1e3),
-        lambda c: lmpchain.theory.bands.branches(c, [0.1]),
-        lambda c: lmpchain.measure.spectrum.travel_time(c, 1),
-        lambda c: lmpchain.orbits.normal_mode(c, 1, 1e-9),
-    ):
-        with pytest.raises(InputError, match=r"grain 1 only touches grain 2|flies apart"):
-            theory(chain)
-    assert lmpchain.simulate(struck).engine == "native"
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"load_grain": 0}, "load_grain"),
-        ({"load_grain": 15}, "at most 14 of 14 grains"),
-        ({"load_grain": 14, "bottom": "fixed"}, "13 of 14 grains, and the last one is held"),
-    ],
-)
-def test_a_load_on_a_fixed_or_missing_grain_is_rejected(changes, message):
-    with pytest.raises(InputError, match=message):
-        Chain(**PTFE | changes)
-
-
 def test_scene_files_and_batches_keep_the_grain(tmp_path):
     struck = scene(BEAD)
     struck.to_toml(tmp_path / "scene.toml")
