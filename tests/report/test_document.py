@@ -122,12 +122,16 @@ def test_facts_agree_with_the_run(priced: Trajectory, rows: Any):
     assert facts["excitation"] == "profile: velocity of 40 values"
 
 
-def test_a_title_names_chain_excitation_duration_and_engine(priced: Trajectory):
+def test_a_title_names_chain_excitation_duration_and_engine(priced: Trajectory, rows: Any):
     label = STRIKE.label
     assert title(priced) == f"40 grains, g = 9.81 m/s², {label}, 60 µs, native"
-    loaded = CHAIN.replace(gravity=0.0, top_load=2.0)
-    other = replace(priced, scene=priced.scene.replace(chain=loaded, duration=1e-3))
-    assert title(other) == f"40 grains, no gravity, load 2 N, {label}, 1 ms, native"
+    for grain, load in ((1, "load 2 N"), (2, "load 2 N on grain 2")):
+        loaded = CHAIN.replace(gravity=0.0, top_load=2.0, load_grain=grain)
+        other = replace(priced, scene=priced.scene.replace(chain=loaded, duration=1e-3))
+        assert title(other) == f"40 grains, no gravity, {load}, {label}, 1 ms, native"
+    damped = priced.scene.replace(chain=CHAIN.replace(damping={"drag": 100.0}))
+    cards = {name: texts for name, *texts in rows(replace(priced, scene=damped)).cards}
+    assert cards["Without damping"] == [f"{damped.damping_effect:.2g}", damped.damping_remark]
 
 
 def test_the_progress_bar_counts_every_part(priced: Trajectory, monkeypatch: pytest.MonkeyPatch):

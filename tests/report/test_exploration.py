@@ -10,11 +10,12 @@ from helpers.example_scenes import scene_of
 from helpers.live_figure import arrays, numbers_of
 
 import lmpchain
-from lmpchain import Chain, Damping, Impulse, InputError, Scene, simulate
+from lmpchain import Chain, Damping, Drive, Impulse, InputError, Scene, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.report import exploration
 
 SCENE = scene_of(Chain(grains=20, diameter=1e-3), Impulse(velocity=1e-4), 40e-6, 61)
+ROW = Chain(grains=60, diameter=1e-3)
 SPEEDS = [1e-6, 1e-3, 0.3]
 LOADS = [1.62, 9.81]
 
@@ -59,8 +60,7 @@ def test_the_front_of_a_run_moves_at_the_speed_of_sound(tmp_path: Path):
     """A weak strike on a loaded chain has a front near d sqrt(k / m), the long-wave speed."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=0.1)
     scene = SCENE.replace(chain=chain, duration=60e-6, samples=2)
-    lmpchain.explore({"scene": scene, "over": {"excitation.velocity": [1e-7]}}, tmp_path / "a.html")
-    shown = arrays(numbers_of(tmp_path / "a.html"))
+    shown = arrays(numbers_of(explored(tmp_path, scene, over={"excitation.velocity": [1e-7]})))
     # The fastest motion turns by a radian at most between two samples.
     phase = chain.band_edge * scene.duration
     assert phase <= shown["time"].size - 1 < phase + 1
@@ -75,9 +75,7 @@ def test_damping_is_a_valid_key(tmp_path: Path):
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, bottom="free", damping=Damping(drag=1.0))
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-2, samples=41)
     drags = [1.0, 50.0, 100.0]
-    source = {"scene": scene, "over": {"chain.damping.drag": drags}, "tolerance": 1e-6}
-    lmpchain.explore(source, tmp_path / "drag.html")
-    numbers = numbers_of(tmp_path / "drag.html")
+    numbers = numbers_of(explored(tmp_path, scene, over={"chain.damping.drag": drags}))
     for place, drag in enumerate(drags):
         shown = arrays(numbers, place)
         assert shown["grains"].tolist() == [1, 2, 3, 4]
@@ -89,12 +87,48 @@ def test_damping_is_a_valid_key(tmp_path: Path):
 def test_without_compression_there_is_no_linear_theory(tmp_path: Path):
     chain = Chain(grains=30, diameter=1e-3, gravity=0.0, bottom="free")
     scene = SCENE.replace(chain=chain, excitation=Impulse(velocity=0.1))
-    lmpchain.explore({"scene": scene}, tmp_path / "one.html")
-    shown = arrays(numbers_of(tmp_path / "one.html"))
+    shown = arrays(numbers_of(explored(tmp_path, scene)))
     assert shown["linear"] is None
     assert shown["facts"]["linear theory"] == "none of this scene"
     assert shown["facts"]["strike number"] == "∞ (sonic vacuum)"
     assert not shown["rest"].any()
+
+
+def explored(folder: Path, scene: Scene, **options: Any) -> Path:
+    """Write the page of a scene; return its path."""
+    lmpchain.explore({"scene": scene} | options, folder / "page.html", overwrite=True)
+    return folder / "page.html"
+
+
+def test_all_runs_show_the_grains_that_any_of_them_moves(tmp_path: Path):
+    """Waves are faster in small grains and if they are strong, so that either end may be first."""
+    for key, ends, made in (
+        ("chain.diameter", [1e-3, 3e-3], lambda x: SCENE.replace(chain=ROW.replace(diameter=x))),
+        ("excitation.velocity", [1e-7, 1.0],
+         lambda v: SCENE.replace(chain=ROW, excitation=Impulse(velocity=v))),
+    ):  # fmt: skip
+        page = explored(tmp_path, made(ends[0]), over={key: ends})
+        reach = []
+        for value in ends:
+            largest = np.abs(simulate(made(value), "native").velocity).max(0)
+            reach.append(int(np.flatnonzero(largest > 1e-3 * largest.max())[-1]) + 1 + 4)
+        assert reach[0] != reach[1]
+        for place in (0, 1):
+            assert arrays(numbers_of(page), place)["grains"].tolist() == [*range(1, max(reach) + 1)]
+        text = page.read_text()
+        assert "select one of 2 computed runs; a value in between shows the nearest run. " in text
+    assert "One run. Each was computed by native" in explored(tmp_path, SCENE).read_text()
+
+
+def test_a_page_states_why_a_run_has_no_front(tmp_path: Path):
+    brief = SCENE.replace(duration=2e-6, samples=11)
+    for scene, reason in (
+        (SCENE.replace(excitation=Drive(amplitude=1e-10, frequency=3e4)), "no single one"),
+        (brief, "no front of the velocity passes"),
+    ):
+        shown = arrays(numbers_of(explored(tmp_path, scene)))
+        assert shown["facts"]["front"].startswith(reason)
+        assert shown["front"] is None
 
 
 def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -130,6 +164,7 @@ def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.Mo
         ({"over": {"chain.gravity": 9.81}}, "must be a list of numbers"),
         ({"over": {"chain.gravity": [-9.81, 9.81]}}, "chain.gravity: must be"),
         ({"over": {"chain.gravity": np.arange(1, 1100).tolist()}}, "over: has 1099 runs"),
+        ({"over": ["chain.gravity"]}, 'over: must be a mapping, such as {"excitation.velocity"'),
         ({"ovr": {}}, "did you mean 'over'"),
         ({"engine": "natve"}, "did you mean 'native'"),
         ({"tolerance": 0.0}, "tolerance: "),
@@ -170,30 +205,32 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         assert fault.count("\n") == 1, fault
 
 
-@pytest.mark.parametrize(
-    ("velocity", "start"), [(1e-3, 3), (-2e-3, 0), (-0.6e-3, 1), (0.4e-3, 2), (9.0, 3)]
-)
-def test_a_slider_starts_at_the_value_nearest_to_the_scene(velocity: float, start: int):
-    values = [-2e-3, -1e-3, 0.0, 1e-3]
-    scene = SCENE.replace(excitation=Impulse(velocity=velocity))
-    slider = exploration._axis("excitation.velocity", values, scene, "impulse")
-    assert (slider.log, slider.start) == (False, start)
+def test_a_slider_starts_at_the_value_nearest_to_the_scene():
+    """Nearest in ratio on a logarithmic slider, and the middle if the scene has no such value."""
+    even, ratios = [-2e-3, -1e-3, 0.0, 1e-3], [1e-6, 1e-5, 1e-3, 1e-1]
+    for values, velocity, start in (
+        *((even, v, n) for v, n in ((1e-3, 3), (-2e-3, 0), (-0.6e-3, 1), (0.4e-3, 2), (9.0, 3))),
+        *((ratios, v, n) for v, n in ((2e-6, 0), (2e-4, 2), (9e-5, 1), (-1e-6, 2), (0.0, 2))),
+    ):
+        scene = SCENE.replace(excitation=Impulse(velocity=velocity))
+        for source in (scene, {"excitation": {"velocity": velocity}}):
+            slider = exploration._axis("excitation.velocity", values, source, "impulse")
+            assert (slider.log, slider.start) == (values is ratios, start)
+    other = exploration._axis("excitation.amplitude", even, SCENE, "force")
+    assert (other.start, other.unit) == (2, "N")
 
 
-@pytest.mark.parametrize(
-    ("values", "log"),
-    [
+def test_a_slider_is_logarithmic_for_constant_ratios_or_two_decades():
+    for values, log in (
         ([1.0, 2.0, 4.0], True),
         ([1.0, 2.0, 4.001], False),
         ([2.0, 4.1, 199.0], False),
         ([2.0, 4.1, 200.5], True),
         ([0.0, 1.0, 200.0], False),
         ([1.0, 200.0], False),
-    ],
-)
-def test_a_slider_is_logarithmic_for_constant_ratios_or_two_decades(values: list, log: bool):
-    slider = exploration._axis("chain.gravity", values, SCENE, "impulse")
-    assert (slider.log, slider.unit, slider.values) == (log, "m/s²", values)
+    ):
+        slider = exploration._axis("chain.gravity", values, SCENE, "impulse")
+        assert (slider.log, slider.unit, slider.values) == (log, "m/s²", values)
 
 
 SAID = "document.getElementById('said').textContent"

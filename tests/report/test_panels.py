@@ -186,6 +186,7 @@ def test_waveforms_without_linear_theory_say_so(draw: Any, vacuum: Trajectory):
     (above,) = picture.axes
     assert len(above.lines) == 3
     assert above.get_xlabel() == "grain, from the top"
+    assert above.xaxis.get_tick_params()["labelbottom"]
     assert picture.caption.endswith("There is no linear theory of this scene.")
 
 
