@@ -1,14 +1,34 @@
-"""Decks that are read without LAMMPS: the scene of a deck, edits, and the reasons of refusals."""
+"""Decks that are read without LAMMPS: the scene of a deck, edits, and the reasons of refusals.
 
+Edited decks are read as `lmp` runs them, or rejected in one line.
+"""
+
+import random
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.standalone_lammps import small
+from helpers.standalone_lammps import read_dump, small
+from helpers.thinned import thinned
 
-from lmpchain import Displacement, Drive, Force, Impulse, Impurity, InputError, Law, Scene, laws
+from lmpchain import (
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    Impurity,
+    InputError,
+    Law,
+    Scene,
+    laws,
+    simulate,
+)
+from lmpchain.engines import Native
 from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.export import write_deck
 
@@ -286,8 +306,8 @@ ACCEPTED: list[tuple[str, str, str, dict[str, Any]]] = [
     ("composed", DUMP, rf"\g<0>\n{FORMAT} %.4g", {"digits": 4}),
     ("composed", r"\nrun  +0 .*", rf"\g<0>\n{FORMAT} %.17g", {}),
     ("driven", DT, "\nvariable dt index 5e-8", HALVED),
-    ("pushed", r"\nvariable +amplitude .*", "\nvariable amplitude index 2e-8",
-     {"excitation": Force(grain=3, amplitude=2e-8, frequency=5e4)}),
+    ("pushed", r"\nvariable +amplitude .*", "\nvariable amplitude index 2e-3",
+     {"excitation": Force(grain=3, amplitude=2e-3, frequency=5e4)}),
 ]  # fmt: skip
 
 
@@ -304,7 +324,89 @@ def test_an_edit_that_lammps_accepts_is_taken_over(
     check_same(deck.scene, scene.replace(**expected), gauged=False)
 
 
-WRITE = "write the deck again with lmpchain deck"
+ROUNDED = 1e-7  # Rounding of heights in LAMMPS, relative to the largest motion.
+SPOILT = ["", "$", "&", "nan", "1e308", "-1", "0", "2.5", "x", "${dt}", "# ", "\f", "index", "é"]
+
+
+def spoil(folder: Path, turn: random.Random) -> None:
+    """Change words or lines of the commands or of the data file."""
+    path = folder / turn.choice(["in.column", "in.column", "column.data"])
+    lines = path.read_text().split("\n")
+    for _ in range(turn.choice([1, 1, 2, 4])):
+        place = turn.choice([n for n, line in enumerate(lines) if line[:1] not in ("", "#")])
+        words = re.split(r"(\s+)", lines[place])
+        word = turn.randrange(len(words))
+        how = turn.choice(["word", "word", "end", "lose", "line", "double", "number"])
+        if how == "word":
+            words[word] = turn.choice(SPOILT)
+        elif how == "end":
+            del words[word:]
+        elif how == "lose":
+            del words[word]
+        elif how == "number":
+            words[word] = re.sub(r"\d", str(turn.randrange(10)), words[word], count=1)
+        lines[place] = "".join(words)
+        if how == "line":
+            del lines[place]
+        elif how == "double":
+            lines.insert(turn.randrange(len(lines)), lines[place])
+    path.write_text("\n".join(lines))
+
+
+def agree(folder: Path) -> None:
+    """Check that `lmp` gives the motion that the reader of decks predicts."""
+    deck = read_deck(folder)
+    given = {*folder.iterdir(), folder / "log.lammps"}
+    program = shutil.which("lmp") or str(Path(sys.executable).with_name("lmp"))
+    done = subprocess.run([program, "-in", "in.column", "-screen", "none"], cwd=folder, check=False)
+    assert done.returncode == 0
+    (dump,) = set(folder.iterdir()) - given  # An edit may change its name.
+    u, v = read_dump(dump)
+    t = simulate(deck.scene, Native(deck.integrator, deck.step))
+    assert len(u) == deck.scene.samples
+    for field, dumped in (("displacement", u), ("velocity", v)):
+        expected = getattr(t, field)
+        close = max(ROUNDED, 10.0 ** (1 - deck.digits)) * np.abs(expected).max()
+        assert np.abs(dumped[:, : expected.shape[1]] - expected).max() <= close
+
+
+# LAMMPS starts near the equilibrium of the changed constants, not at it.
+RUN_BY_LAMMPS = [edit[:3] for edit in ACCEPTED if "hertz" not in edit[1]]
+
+
+@pytest.mark.parametrize(("name", "pattern", "text"), thinned(RUN_BY_LAMMPS, 9))
+def test_lammps_runs_an_edited_deck_as_it_is_read(
+    name: str, pattern: str, text: str, tmp_path: Path
+):
+    write(name, tmp_path, pattern, text)
+    agree(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("count", "is_run"),
+    [(20, False), *(pytest.param(2000, run, marks=pytest.mark.soak) for run in (False, True))],
+)
+@pytest.mark.slow
+def test_decks_spoilt_at_random_are_read_right_or_refused(count: int, is_run: bool, tmp_path: Path):
+    """In a separate soak test, `lmp` runs every deck that is accepted."""
+    turn = random.Random(count)
+    for case in range(count):
+        folder = tmp_path / f"{case}"
+        write(turn.choice(list(SCENES)), folder)
+        spoil(folder, turn)
+        refusal = ""
+        try:
+            read_deck(folder)
+            if is_run:
+                agree(folder)
+        except InputError as error:
+            refusal = str(error)
+        except Exception as error:
+            raise AssertionError(f"{folder}: {error}") from error
+        assert all(problem.isprintable() for problem in refusal.split("\n"))
+        shutil.rmtree(folder)
+
+
 NO_DATA = "is not a column's data file: it needs Atoms # sphere or Atoms # hybrid, Velocities"
 OFF_AXIS = r"grain 3 does not move on the axis \({}\): x, y and their velocities must be 0"
 WHOLE = r"must contain a whole number from {} to 2147483647 \(got {}\)"
