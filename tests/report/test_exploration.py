@@ -224,6 +224,7 @@ def test_a_slider_is_logarithmic_for_constant_ratios_or_two_decades():
     for values, log in (
         ([1.0, 2.0, 4.0], True),
         ([1.0, 2.0, 4.001], False),
+        ([1.0, 10 * (1 + 5e-7), 100.0], True),
         ([2.0, 4.1, 199.0], False),
         ([2.0, 4.1, 200.5], True),
         ([0.0, 1.0, 200.0], False),
