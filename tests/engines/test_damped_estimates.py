@@ -15,52 +15,12 @@ def spring(viscous: float, drag: float) -> Chain:
     return chain.replace(damping={"viscoelastic": viscous / omega, "drag": drag * omega})
 
 
-def exact(scene: Scene, t: np.ndarray) -> np.ndarray:
-    """Return the displacement and velocity of the grain in extended precision, (2, T).
-
-    They solve x'' + (A k + gamma) x' + k x = f / m, at rest or with a velocity at t = 0.
-    """
-    wide = np.longdouble
-    chain = scene.chain
-    mass = wide(chain.masses[0])
-    k = wide(chain.contact_constants[0]) / mass
-    decay = wide(chain.damping.viscoelastic) * k + wide(chain.damping.drag)
-    root = np.sqrt(np.clongdouble(decay**2 / 4 - k))
-    rates = np.array([-decay / 2 + root, -decay / 2 - root])
-    t = t.astype(wide)
-
-    def free(v: np.clongdouble, x: np.clongdouble, t: np.ndarray) -> np.ndarray:
-        shares = np.array([v - rates[1] * x, rates[0] * x - v]) / (rates[0] - rates[1])
-        waves = shares * np.exp(np.outer(t, rates))
-        return np.array([waves.sum(1), (waves * rates).sum(1)])
-
-    excitation = scene.excitation
-    if isinstance(excitation, Impulse):
-        return free(wide(excitation.velocity), wide(0), t).real
-    half = excitation.shape == "half-sine"
-    pi = 4 * np.arctan(wide(1))
-    rate = pi / wide(excitation.duration) if half else 2 * pi * wide(excitation.frequency)
-    size = wide(excitation.amplitude) / mass / (k - rate**2 + 1j * rate * decay)
-
-    def sine(t: np.ndarray) -> np.ndarray:
-        moved = size * np.exp(1j * rate * t)
-        still = free(-(1j * rate * size).imag, -size.imag, t)
-        return np.array([moved.imag, (1j * rate * moved).imag]) + still.real
-
-    motion = sine(t)
-    if half:
-        # A second sine, which starts after half a period of the first one, cancels it.
-        later = t > wide(excitation.duration)
-        motion[:, later] += sine(t[later] - wide(excitation.duration))
-    return motion
-
-
 def true_error(run: Trajectory) -> float:
     """Return the error of a run, relative to the largest motion at any time."""
-    scene = run.scene
-    largest = np.abs(exact(scene, np.linspace(0, scene.duration, 4001))).max(1)
-    apart = np.array([run.displacement[:, 0], run.velocity[:, 0]]) - exact(scene, scene.time)
-    return float((np.abs(apart).max(1) / largest).max())
+    true, doubt = reference(run.scene, 1e-18)
+    error = true.error(run.displacement, run.velocity)
+    assert doubt < error / 10
+    return error
 
 
 def strike(viscous: float, drag: float, reach: float) -> Scene:
@@ -143,7 +103,5 @@ def test_estimates_refer_to_the_motion_itself_while_a_force_is_still_weak(viscoe
     scene = Scene(chain=chain, excitation=burst, duration=3e-5, samples=6)
     step = 1.5e-6 if viscoelastic == 1e-6 else 5e-7
     t = simulate(scene, Native(step=step, integrator="dop853"))
-    true, doubt = reference(scene, 1e-17)
-    error = true.error(t.displacement, t.velocity)
-    assert doubt < error / 10
+    error = true_error(t)
     assert error / 3 < t.error_estimate.solver < 30 * error

@@ -360,8 +360,8 @@ def test_options_of_the_native_engine_are_rejected_with_alternatives():
     ):
         with pytest.raises(InputError, match=f"{next(iter(options))}: {message}"):
             Native(**options)
-    assert Native(threads=1, step=1).options() == {
-        "integrator": "auto", "step": 1, "threads": 1, "force": "auto", "adaptive": True,
+    assert Native(threads=2, step=1).options() == {
+        "integrator": "auto", "step": 1, "threads": 2, "force": "auto", "adaptive": True,
     }  # fmt: skip
     for engine, options, message in (
         ("native", {"colour": 1}, "colour: .* native has no such option; it has integrator, step"),

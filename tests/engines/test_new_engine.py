@@ -3,7 +3,6 @@
 Nothing else knows one engine from another.
 """
 
-import json
 import sys
 from types import ModuleType
 
@@ -14,7 +13,6 @@ from helpers.example_scenes import struck
 
 import lmpchain
 from lmpchain import Scene, engines, simulate
-from lmpchain.cli import main
 from lmpchain.engines.base import Engine, ErrorBudget, Proposal, Run
 from lmpchain.integrators.steps import Steps
 from lmpchain.trajectory.record import Block, Cost
@@ -151,18 +149,6 @@ def test_refusals_suggest_it_where_it_supports_more(spring: Scene, monkeypatch: 
     cure = "leave damping out, or use native, modes, oscillator or lammps"
     with pytest.raises(lmpchain.InputError, match=f"chebyshev conserves energy: {cure}$"):
         simulate(damped, "chebyshev")
-
-
-@pytest.mark.slow
-def test_it_is_compared_from_the_command_line(spring: Scene, tmp_path):
-    spring.to_toml(tmp_path / "scene.toml")
-    numbers = tmp_path / "numbers.json"
-    picture = tmp_path / "picture.png"
-    words = ["compare", str(tmp_path / "scene.toml"), "--engines", "oscillator,native"]
-    assert main([*words, "--json", str(numbers), "-o", str(picture)]) == 0
-    rows = {row["engine"]: row for row in json.loads(numbers.read_text())["rows"]}
-    assert rows["oscillator"]["error"] < 1e-12
-    assert picture.stat().st_size > 10_000
 
 
 def test_it_works_in_a_run_folder(spring: Scene, tmp_path):

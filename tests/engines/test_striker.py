@@ -46,16 +46,6 @@ def scene(changes=None, excitation=HIT, **keys) -> Scene:
     return Scene(chain=Chain(**PTFE | (changes or {})), excitation=excitation, **options)
 
 
-def test_contacts_above_the_load_carry_only_the_weight():
-    level = Chain(**PTFE | {"load_grain": 4, "top": "wall"})
-    assert np.array_equal(level.contacts.force, [0.0] * 4 + [2.38] * 11)
-    assert level.equilibrium_overlap[2] == 0.0
-    assert level.length_scale == pytest.approx((2.38 / level.contact_constants[3]) ** (2 / 3))
-    heavy = Chain(**PTFE | {"load_grain": 4, "gravity": 9.81})
-    weight = 9.81 * np.cumsum(heavy.masses[:-1])
-    assert heavy.equilibrium_force == pytest.approx(weight + 2.38 * (np.arange(1, 14) >= 4))
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_native_agrees_with_taylor_series(name):
     struck = scene(*SCENES[name])

