@@ -5,13 +5,7 @@ from itertools import product
 import pytest
 from helpers.example_scenes import PAPER, paper
 from helpers.independent_integrators import distance, extended_reference
-from helpers.reference_scenes import (
-    KINDS,
-    LONG_AND_WEAK,
-    SCENES,
-    at_speed,
-    reference_motion,
-)
+from helpers.reference_scenes import KINDS, LONG_AND_WEAK, SCENES, at_speed, reference_motion
 
 from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native

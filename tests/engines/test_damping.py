@@ -24,9 +24,7 @@ from lmpchain import (
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
 from lmpchain.measure import contact, motion
-from lmpchain.orbits import normal_mode
 from lmpchain.report.document import page
-from lmpchain.theory import bands, scattering
 
 DAMPING = {"viscoelastic": 3e-8, "drag": 1e3}
 WALLS = {"top": "wall", "bottom": "wall", "top_load": 0.1}
@@ -78,20 +76,6 @@ def test_the_choice_of_engine_considers_damping():
         simulate(scene, engine=Native("rkn6"))
     names = {"native", "lammps", "modes"}
     assert {name for name in engines.names() if engines.get(name).dissipates} == names
-
-
-@pytest.mark.parametrize(
-    "compute",
-    [
-        lambda scene: normal_mode(scene.chain, 1, 1e-15),
-        lambda scene: scattering.transparent(scene.chain, 1e3, [5, 6]),
-        lambda scene: bands.branches(scene.chain, [0.1]),
-    ],
-)
-def test_functions_without_damping_support_reject_it(compute):
-    scene = damped_scene(ACTS["strike"], 5, gravity=0.0)
-    with pytest.raises(InputError, match=r"chain\.damping: .*chain.replace\(damping=None\)"):
-        compute(scene)
 
 
 @pytest.mark.parametrize("seed", range(24))

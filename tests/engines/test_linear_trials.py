@@ -11,14 +11,7 @@ from helpers.example_scenes import scene_of, struck
 from helpers.independent_integrators import distance
 
 import lmpchain
-from lmpchain import (
-    Chain,
-    Drive,
-    Impulse,
-    Packet,
-    Scene,
-    simulate,
-)
+from lmpchain import Chain, Drive, Impulse, Packet, Scene, simulate
 from lmpchain.engines import Chebyshev, Modes
 from lmpchain.stability import find
 from lmpchain.theory.modes import between
@@ -152,10 +145,7 @@ def test_waves_that_travel_far_become_steeper(kind):
     assert 1e-3 < true < t.error_estimate.model < 5 * true
 
 
-@pytest.mark.parametrize(
-    ("amplitude", "frequency"),
-    [(1.5e-9, 3e3), (1e-9, 1e4), (1e-10, 3e4)],
-)
+@pytest.mark.parametrize(("amplitude", "frequency"), [(1.5e-9, 3e3), (1e-9, 1e4), (1e-10, 3e4)])
 def test_estimates_of_linear_theory_agree_for_a_driven_column(amplitude, frequency):
     """Evaluation, run and stability give the same estimate.
 

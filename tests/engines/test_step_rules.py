@@ -14,9 +14,7 @@ from lmpchain import Displacement, Force, Impulse, InputError, Law, Scene, Toler
 from lmpchain.engines import Native
 from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.stepping.auxiliary_runs import AuxiliarySteps, longer_steps, recurs
-from lmpchain.engines.stepping.rounding import (
-    interpolation_loss,
-)
+from lmpchain.engines.stepping.rounding import interpolation_loss
 from lmpchain.engines.stepping.step_choice import (
     FIRST_STEP,
     choose_given_step,

@@ -149,10 +149,7 @@ FORCED = {
     ),
     "driven in drifts": (Drive(**POINTS, displacement=3e-8 * CURVE), {}),
     "pushed in drifts": (Force(amplitude=1e-3, frequency=1e5, cycles=1.303, grain=3), {}),
-    "moving wall and drifts": (
-        Drive(amplitude=3e-8, frequency=1e5, cycles=1.303, grain=0),
-        WALL,
-    ),
+    "moving wall and drifts": (Drive(amplitude=3e-8, frequency=1e5, cycles=1.303, grain=0), WALL),
 }
 
 

@@ -89,10 +89,7 @@ SCENES: dict[str, tuple[Scene, dict[str, Any]]] = {
     ),
     "pushed": (small(Force(grain=3, **SINE), top_load=0.02), {}),
     "pushed in a burst": (small(Force(grain=3, **SINE, cycles=2.5)), {}),
-    "half-sine": (
-        small(Force(grain=5, shape="half-sine", amplitude=1e-3, duration=7.03e-6)),
-        {},
-    ),
+    "half-sine": (small(Force(grain=5, shape="half-sine", amplitude=1e-3, duration=7.03e-6)), {}),
 }
 # Scenes that must be given, and the reason.
 FORMULA, BY_POINTS, SINGLE = (

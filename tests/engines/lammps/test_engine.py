@@ -10,15 +10,7 @@ import pytest
 from helpers.example_scenes import paper
 from helpers.standalone_lammps import small
 
-from lmpchain import (
-    Drive,
-    Force,
-    InputError,
-    Law,
-    Scene,
-    laws,
-    simulate,
-)
+from lmpchain import Drive, Force, InputError, Law, Scene, laws, simulate
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.engine import gauge_diameter
@@ -39,11 +31,7 @@ INPUTS: dict[str, tuple[Scene, dict[str, Any], str]] = {
     "gauge": (small(), {"integrator": "verlet", "diameter": "gauge"}, "verlet"),
     # No bound on the overlaps is known without a trial.
     "gauge under a force": (PUSHED, {"integrator": "verlet", "diameter": "gauge"}, "verlet"),
-    "pair style": (
-        small(),
-        {"integrator": "verlet", "pair_style": "gran/hertz/history"},
-        "verlet",
-    ),
+    "pair style": (small(), {"integrator": "verlet", "pair_style": "gran/hertz/history"}, "verlet"),
 }
 
 

@@ -55,12 +55,6 @@ def test_steps_stay_where_companions_are_stable():
         assert step * scene.highest_frequency <= stable / 4 * (1 + 1e-12)
 
 
-def test_a_given_step_is_kept():
-    scene = struck(STRIKER, 0.44, 1e-4, 6)
-    lammps = Lammps("verlet", step=1e-8)
-    assert lammps.propose(lammps.part(scene), 1e-3).step == pytest.approx(1e-8, rel=1e-12)
-
-
 def test_the_estimate_holds_in_random_strikers(rng):
     """With the steps of LAMMPS, a native run is compared with a run at 1e-11."""
     for _ in range(12):

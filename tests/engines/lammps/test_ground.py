@@ -7,17 +7,7 @@ import numpy as np
 import pytest
 from helpers.checked_lammps import check_agreement, check_deck, check_resumed
 
-from lmpchain import (
-    Chain,
-    Displacement,
-    Drive,
-    Force,
-    Impulse,
-    InputError,
-    Law,
-    Scene,
-    laws,
-)
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, InputError, Law, Scene, laws
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.export import write_deck
 
