@@ -11,6 +11,7 @@ from helpers.example_chains import random_column
 from helpers.example_scenes import paper, scene_of, smooth, struck
 from helpers.independent_integrators import distance, extended_reference
 from helpers.whole_runs import blocks_of
+from scipy.integrate import solve_ivp
 
 from lmpchain import (
     Chain,
@@ -148,6 +149,30 @@ def test_recorded_grains_are_columns_of_the_full_motion():
     assert np.array_equal(some.displacement, whole.displacement[:, [6, 1, 8]])
     assert np.array_equal(some.velocity, whole.velocity[:, [6, 1, 8]])
     assert some.error_estimate == whole.error_estimate
+
+
+@pytest.mark.parametrize("grains", ["all", [3, 1]])
+def test_a_shaken_base_moves_springs_from_below(grains):
+    masses = np.array([1.0, 2.0, 3.0]) * 1e-6
+    pressed = {"gravity": 0.0, "top_load": 1.0, "bottom": "wall"}
+    chain = Chain(grains=3, diameter=1e-3, exponent=1.0, masses=masses, **pressed)
+    edge = chain.band_edge
+    drive = Drive(end="bottom", amplitude=1e-9, frequency=0.3 * edge / 2 / np.pi)
+    scene = scene_of(chain, drive, 20 / edge, 21, grains=grains)
+
+    def rates(t: float, state: np.ndarray) -> np.ndarray:
+        u, v = state.reshape(2, -1)
+        base = 1e-9 * np.sin(0.3 * edge * t)
+        force = chain.contacts.stiffness[1:] * -np.diff(np.append(u, base))
+        return np.concatenate((v, -np.diff(force, prepend=0.0) / masses))
+
+    start, span = np.zeros(6), (0, scene.duration)
+    true = solve_ivp(rates, span, start, "DOP853", scene.time, rtol=1e-12, atol=1e-22).y
+    answer = simulate(scene, "native", 1e-9)
+    motion = np.concatenate((answer.displacement.T, answer.velocity.T))
+    rows = np.concatenate([scene.recorded - 1, scene.recorded + 2])
+    for one, other in zip(motion, true[rows], strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * np.abs(other).max())
 
 
 def test_interpolated_samples_are_as_accurate_as_others():

@@ -456,6 +456,8 @@ REFUSED: list[tuple[str, str, str, str]] = [
     ("pair style", r"(history .*) 0 dpd", r"\1 dpd", "is not a contact that lmpchain writes"),
     ("struck", r"pair_style +granular", "pair_style", "is too short"),
     ("pair style", "overlay gran.* dpd", "overlay dpd", "is too short"),
+    ("pair style", r"(overlay gran.*) dpd .*", r"\1", "is not a contact that lmpchain writes"),
+    ("pair style", r"hybrid/overlay", "hybrid", "is not a contact that lmpchain writes"),
     ("walls", r"(fix +bottom .*hertz ).*", r"\1x", NO_NUMBER),
     ("struck", r"\nvelocity .*", r"\g<0>\nvelocity all set 0 0 1", rf"is not `.*`: {ONLY}"),
     ("struck", RUN, "\nrun 80\nvelocity all set 0 0 1", f"is not known: {ONLY}"),
