@@ -102,20 +102,13 @@ def test_model_error_over_the_map_of_strikes(gravity):
     assert seen >= 3
 
 
+LOADED = Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=10.0)
 OTHERS = {
     "struck within": (column(150), Impulse(velocity=1e-5, grain=75), 1e-4),
     "struck within, reflected": (column(60), Impulse(velocity=1e-6, grain=30), 1e-3),
     "pulled": (column(60), Displacement(displacement=-1e-11, grain=1), 1e-4),
-    "loaded": (
-        Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=10.0),
-        Impulse(velocity=1e-3),
-        1e-3,
-    ),
-    "loaded for long": (
-        Chain(grains=20, material="steel", diameter=5e-3, gravity=0, top_load=10.0),
-        Impulse(velocity=1e-3, grain=7),
-        3e-3,
-    ),
+    "loaded": (LOADED, Impulse(velocity=1e-3), 1e-3),
+    "loaded for long": (LOADED.replace(grains=20), Impulse(velocity=1e-3, grain=7), 3e-3),
     "two grains": (column(2), Impulse(velocity=1e-6), 1e-4),
     "square law": (column(100, exponent=2.0), Impulse(velocity=1e-5), 1e-4),
     "nearly springs": (column(100, exponent=1.1), Impulse(velocity=1e-6), 1e-4),
@@ -129,8 +122,7 @@ def test_model_error_of_other_scenes(name, samples):
 
     It is an estimate of the largest error at any time, not of what is left of it at two moments:
     with 3 samples the wave that is reflected within is seen where it has made up for two thirds of
-    it (1.05e-4; 3.1e-4 at any time; the estimate is 1.6e-3). Nine in ten estimates are below 7
-    times the truth in random scenes (test_linear_trials.py).
+    it (1.05e-4; 3.1e-4 at any time; the estimate is 1.6e-3).
     """
     chain, excitation, duration = OTHERS[name]
     fine = scene_of(chain, excitation, duration, 1001)

@@ -125,9 +125,7 @@ def test_the_live_view_contains_the_motion(wave: Trajectory, text: str):
     assert live["linear"] == pytest.approx(linear, abs=np.abs(linear).max() / 5e4)
 
 
-@pytest.mark.parametrize(
-    ("grains", "duration", "samples"), [(500, 1e-3, 201), (300, 5e-4, 101)]
-)
+@pytest.mark.parametrize(("grains", "duration", "samples"), [(500, 1e-3, 201), (300, 5e-4, 101)])
 def test_an_unresolved_front_is_not_denied(grains: int, duration: float, samples: int):
     """Samples 5 us apart do not show the order of the peaks."""
     scene = scene_of(column(grains), Impulse(velocity=8.57e-4), duration, samples)
