@@ -3,6 +3,8 @@
 Forced motion, waves in resonance, bounds before a run, costs, what closed forms say.
 """
 
+from time import perf_counter
+
 import numpy as np
 import pytest
 from helpers.example_chains import column
@@ -27,7 +29,10 @@ HZ = EDGE / (2 * np.pi)
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 def test_the_cost_of_a_linear_solution(engine):
     scene = scene_of(LOADED, Impulse(velocity=1e-9, grain=2), 20 / EDGE, 9)
+    began = perf_counter()
     cost = simulate(scene, engine).cost
+    spent_s = perf_counter() - began
+    assert cost.integration_s + cost.estimate_s + cost.setup_s + cost.compile_s < spent_s
     assert (cost.steps, cost.active_grains, cost.ranks, cost.integrator) == (8, 7, 1, engine)
     assert cost.step_s == pytest.approx(scene.duration / 8, rel=1e-12)
     assert min(cost.integration_s, cost.estimate_s, cost.setup_s) > 0

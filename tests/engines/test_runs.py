@@ -4,6 +4,7 @@ What they have cost, how far they are, where they go on, how they end, and in wh
 """
 
 from itertools import pairwise
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -66,13 +67,16 @@ def test_the_cost_of_a_run(engine):
     """Steps divide the time between samples, and each step has the evaluations of its method."""
     interval = SCENE.duration / 20
     engine = Native(engine, step=interval / 7.5) if isinstance(engine, str) else engine
+    began = perf_counter()
     cost = simulate(SCENE, engine).cost
+    spent_s = perf_counter() - began
     name = engine.integrator
     assert (cost.integrator, cost.active_grains, cost.ranks) == (name, 10, 1)
     assert cost.steps == 20 * 8
     assert cost.step_s == pytest.approx(interval / 8, rel=1e-12)
     assert cost.force_evaluations == 160 * METHODS[name].evaluations
     assert min(cost.integration_s, cost.estimate_s, cost.setup_s) > 0
+    assert cost.integration_s + cost.estimate_s + cost.setup_s + cost.compile_s < spent_s
 
 
 @pytest.mark.parametrize("engine", [Native(step=2e-8), Lammps("rkn6", step=1e-7)])
