@@ -151,7 +151,8 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, wave: Trajectory):
         assert below[:, 1] == pytest.approx(difference[row, columns], rel=1e-9, abs=1e-12)
         same = {line.get_color() for line in above.lines[2 * place : 2 * place + 2]}
         assert same == {apart.lines[place].get_color()}
-        assert all(line.get_linewidth() == 1 for line in above.lines[2 * place + 1 : 2 * place + 2])
+        points, line = above.lines[2 * place : 2 * place + 2]
+        assert (points.get_markersize(), line.get_linewidth()) == (4, 1)
         shades |= same
     assert len(shades) == 3
     first, last = reached(wave)
@@ -172,6 +173,7 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, wave: Trajectory):
     off = float(re.search(r"at most (\S+) of the largest velocity away", picture.caption)[1])
     assert off == pytest.approx(np.abs(difference).max(), rel=0.05)
     assert not picture.map
+    assert [ax.get_title(loc="left") for ax in picture.axes] == ["(a)", "(b)"]
     assert above.figure.get_size_inches().tolist() == [4.7, 4.4]
     heights = [ax.get_gridspec().get_height_ratios() for ax in (above, apart)]
     assert heights == [(3, 1)] * 2, "the difference takes a quarter"
@@ -252,6 +254,7 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, wave: Trajectory):
     for ax in (height, time):
         assert ax.lines[0].get_markersize() == 4
         assert (ax.lines[1].get_linestyle(), ax.lines[1].get_linewidth()) == ("--", 1)
+    assert [ax.get_title(loc="left") for ax in picture.axes] == ["(a)", "(b)"]
     assert height.figure.get_size_inches().tolist() == [4.7, 4.8]
 
 
@@ -347,6 +350,9 @@ def test_a_front_travels_downward(wave: Trajectory):
     needed = 1 + int(np.ceil(phase / front.RESOLVED_TURN))
     with pytest.raises(InputError, match=f"^samples: 15 .s apart .* at least {needed} samples"):
         front_of(np.arange(20.0), 1e-3, coarse)
+    # Closer samples do not help a front of few grains.
+    with pytest.raises(InputError, match=r"^front: none travels"):
+        front_of(np.arange(5.0), 1e-3, coarse)
 
 
 # --- spectra, contacts, energy
