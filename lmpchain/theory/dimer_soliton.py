@@ -254,7 +254,10 @@ def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSolito
     )
     ratio, x, values = _solve(float(near), float(delta))
     wave = DimerSoliton(delta, ratio, 1.0, x, values)
-    fastest = float(wave.velocity(np.linspace(-2, 2, 4001)).max())
+    # Points 1e-4 apart miss the largest velocity by less than 1e-8 of it.
+    coarse = np.linspace(-2, 2, 201)
+    fine = coarse[wave.velocity(coarse).argmax()] + np.linspace(-0.02, 0.02, 401)
+    fastest = float(wave.velocity(fine).max())
     speed = (velocity / fastest) ** ((delta - 1) / (delta + 1))
     return DimerSoliton(delta, ratio, speed, x, values * speed ** (2 / (delta - 1)))
 
@@ -278,7 +281,7 @@ def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
     alone = operator(inverse)
     heavy = operator(inverse * np.exp(-1j * k)) @ mirror - alone
     light = operator(inverse * np.exp(1j * k)) @ mirror - alone
-    slope = operator(1j * k * (np.arange(points) != points // 2))[0]
+    slope = operator(1j * k)[0]
     values = _approximate(near, delta, x)
     # An additional row fixes the position of the wave; an additional column is for the light mass.
     inertia = 1 / near

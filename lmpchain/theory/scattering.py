@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args
+from warnings import catch_warnings
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -301,11 +302,13 @@ def transparent(
 
     # Some resonances are narrow, so the factor increases by 1 % from step to step by default.
     nodes = np.linspace(np.log(low), np.log(high), 401)
-    values = np.array([reflection(x) for x in nodes])
-    roots = [
-        brentq(reflection, nodes[i], nodes[i + 1], xtol=1e-14, rtol=1e-14)
-        for i in np.flatnonzero(values[:-1] * values[1:] < 0)
-    ]
+    # The search tries factors that no real grain has.
+    with catch_warnings(action="ignore"):
+        values = np.array([reflection(x) for x in nodes])
+        roots = [
+            brentq(reflection, nodes[i], nodes[i + 1], xtol=1e-14, rtol=1e-14)
+            for i in np.flatnonzero(values[:-1] * values[1:] < 0)
+        ]
     factor = np.exp(roots)
     # A uniform chain has no reflection.
     return factor[np.abs(factor - 1) > 1e-9]

@@ -24,15 +24,8 @@ def besselj(order: int, z: float) -> float:
 # uniform chains
 
 
-def test_infinite_chain_against_an_integrator():
-    """Eq. (6) for grain 50 of 99, long before the wave reaches the ends."""
-    T = np.array([0.0, 0.3, 2.0, 9.0])
-    exact, _ = integrate(np.ones(99), unit(99, 50), 0.0, T)
-    assert bessel.infinite(np.arange(1, 100), 50, T[:, None]) == pytest.approx(exact, abs=1e-13)
-
-
 def test_general_initial_data_against_an_integrator():
-    """Eq. (5) with velocities dphi/dT."""
+    """Eq. (5) with velocities dphi/dT, and Eq. (6), its case of one displaced grain."""
     T = np.array([0.0, 0.3, 2.0, 9.0])
     p = np.array([55, 48, 49, 60])
     displacement, velocity = RNG.normal(size=(2, 4))
@@ -41,6 +34,8 @@ def test_general_initial_data_against_an_integrator():
     exact, _ = integrate(np.ones(99), *start, T)
     found = bessel.infinite_general(np.arange(1, 100), T[:, None], p, displacement, velocity)
     assert found == pytest.approx(exact, abs=1e-12)
+    one = bessel.infinite_general(np.arange(1, 100), T[:, None], [50], [1.0])
+    assert bessel.infinite(np.arange(1, 100), 50, T[:, None]) == pytest.approx(one, abs=1e-14)
 
 
 def test_general_initial_data_may_repeat_grains_and_reach_below_zero():
@@ -67,9 +62,7 @@ def test_free_end_by_the_other_closed_form(n: int, T: float):
     assert bessel.free_end(n, T) == pytest.approx(exact, rel=1e-12, abs=0 if n / 2 > T else 1e-13)
 
 
-@pytest.mark.parametrize(
-    ("n", "T"), [(1, 0.4), (1, 40.0), (3, 7.0), (50, 10.0), (40, 45.0), (200, 3.0)]
-)
+@pytest.mark.parametrize(("n", "T"), [(1, 0.4), (3, 7.0), (20, 25.0), (200, 3.0)])
 def test_free_end_impulse_by_quadrature(n: int, T: float):
     """Even tiny values of Eq. (13) agree with quadrature, whose integrand is scaled to 1."""
     with mp.workdps(25):
@@ -89,15 +82,6 @@ def test_free_end_against_an_integrator():
     dynamic, _ = integrate(np.ones(60), 0.0, unit(60, 1), T)
     assert bessel.free_end(n, T[:, None]) == pytest.approx(static, abs=1e-13)
     assert bessel.free_end_impulse(n, T[:, None]) == pytest.approx(dynamic, abs=1e-12)
-
-
-def test_closed_forms_have_the_initial_values():
-    n = np.arange(1, 5)
-    assert bessel.free_end(n, 0.0).tolist() == [1, 0, 0, 0]
-    assert bessel.free_end_impulse(n, 0.0).tolist() == [0, 0, 0, 0]
-    assert bessel.infinite_general(n, 0.0, [2], [3.0], [5.0]).tolist() == [0, 3, 0, 0]
-    assert bessel.finite(np.ones(4), n, 3, 0.0).tolist() == [0, 0, 1, 0]
-    assert bessel.finite_impulse(np.ones(4), n, 3, 0.0).tolist() == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 3.0])
@@ -150,12 +134,12 @@ def test_coefficients_by_eigenvectors(grains: int, delta: float):
 
 def test_coefficients_of_high_order_are_accurate():
     kappa = gravity_column(30)
-    A = bessel.coefficients(kappa, [1, 30], 1, 20000)
+    A = bessel.coefficients(kappa, [1, 30], 1, 8000)
     square, X = np.linalg.eigh(
         np.diag(kappa + np.append(0, kappa[:-1])) - np.diag(kappa[:-1], 1) - np.diag(kappa[:-1], -1)
     )
     angle = np.arccos(1 - square / 2 / kappa[-1])
-    exact = 2 * np.cos(19999 * angle) * X[0] @ X[[0, 29]].T
+    exact = 2 * np.cos(7999 * angle) * X[0] @ X[[0, 29]].T
     assert np.abs(A).max() <= 2
     assert A[:, -1] == pytest.approx(exact, abs=1e-9)
 
@@ -201,17 +185,6 @@ def test_series_against_modes_over_a_long_time():
         u[0], abs=1e-11
     )
     assert bessel.finite(chain.linear_stiffness, n, 1, 1000.0) == pytest.approx(v[0], abs=1e-11)
-
-
-def test_uniform_series_by_images():
-    """The fixed grain N and the free end cause images of grain 1 with alternating signs."""
-    N = 12
-    n = np.arange(1, 12)
-    T = np.array([[3.0], [20.0], [80.0]])
-    shift = (2 * N - 1) * np.arange(-20, 21)[:, None, None]
-    sign = (-1.0) ** np.arange(-20, 21)[:, None, None]
-    images = (sign * (jv(2 * abs(n - 1 - shift), 2 * T) + jv(2 * abs(n - shift), 2 * T))).sum(0)
-    assert bessel.finite(np.ones(N - 1), n, 1, T) == pytest.approx(images, abs=2e-13)
 
 
 def test_the_series_has_relative_accuracy_ahead_of_the_front():

@@ -20,7 +20,7 @@ CELLS = {
 }
 
 
-def ratio(cell: Cell, w: float, cells: int = 300) -> complex:
+def ratio(cell: Cell, w: float, cells: int = 150) -> complex:
     """Return the ratio of the motions of successive cells driven at w."""
     m, k = (np.asarray(x, float) for x in (cell.masses, cell.stiffness))
     size = m.size

