@@ -15,10 +15,10 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
@@ -273,7 +273,7 @@ def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
     inverse[1:] = -1 / k[1:] ** 2
     fourier = np.fft.fft(np.eye(points))
 
-    def operator(symbol: Array) -> Array:
+    def operator(symbol: NDArray[Any]) -> Array:
         return np.fft.ifft(symbol[:, None] * fourier, axis=0).real
 
     # The equation is divided by c^2 and integrated twice: A minus its mean is a sum of forces.

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.independent_integrators import extended_reference
-from scipy.integrate import quad
+from helpers.oscillator_period import oscillator_period
 
 from lmpchain import Chain, Material, orbits
 from lmpchain.orbits import Orbit
@@ -122,21 +122,7 @@ def test_a_dark_breather_oscillates_with_its_background():
     # The overlap is smaller than at rest, because grains at the dip need more room.
     eps = overlap[10:12].mean()
     k = chain.contact_constants[0]
-
-    def period(amplitude: float) -> float:
-        def potential(x: float) -> float:
-            return k / 5 * (max(eps + 2 * x, 0.0) ** 2.5 + max(eps - 2 * x, 0.0) ** 2.5)
-
-        def slowness(angle: float) -> float:
-            x = amplitude * np.sin(angle)
-            return (
-                amplitude
-                * np.cos(angle)
-                / np.sqrt(2 * (potential(amplitude) - potential(x)) / LIGHT)
-            )
-
-        return 4 * quad(slowness, 0, np.pi / 2, epsabs=0, epsrel=1e-11, limit=200)[0]
-
     assert 2 * np.pi / orbit.period < chain.band_edge
-    assert period(swing[0]) == pytest.approx(orbit.period, rel=1e-6)
+    background = oscillator_period(swing[0], k, eps, LIGHT, closing=2.0)
+    assert background == pytest.approx(orbit.period, rel=1e-6)
     assert swing[49] < 0.1 * swing[0]

@@ -102,19 +102,6 @@ def test_a_family_passes_its_folds_and_returns():
     assert np.abs(back[-1].displacement - there[0].displacement).max() < 1e-9 * there[0].amplitude
 
 
-def test_an_energy_family_returns_to_its_start():
-    chain = Chain(grains=6, diameter=1e-3)
-    energy = chain.length_scale * chain.masses[0] * 9.81
-    first = orbits.normal_mode(chain, 3, 0.01 * energy)
-    there = orbits.follow(first, "energy", energy, events=False)
-    back = orbits.follow(there[-1], "energy", first.energy, events=False)
-    assert there.reached
-    assert back.reached
-    assert back[-1].period == pytest.approx(first.period, rel=1e-10)
-    assert back[-1].displacement == pytest.approx(first.displacement, abs=1e-9 * first.amplitude)
-    assert (np.diff(there.energy) > 0).all()
-
-
 def test_from_a_linear_mode_through_two_folds_and_back():
     """The slowest mode of a column meets a resonance, at which its energy has two folds."""
     chain = Chain(grains=5, diameter=1e-3)
@@ -155,18 +142,33 @@ def test_each_orbit_of_a_family_needs_one_tangent_map(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    ("parameter", "factor"), [("masses[2]", 1.3), ("gravity", 2.0), ("exponent", 1.1)]
+    ("parameter", "factor"),
+    [
+        ("masses[2]", 1.3),
+        ("diameter[3]", 1.1),
+        ("contact_constants[1]", 1.3),
+        ("gravity", 2.0),
+        ("top_load", 1.3),
+        ("exponent", 1.1),
+    ],
 )
 def test_any_parameter_of_the_chain_can_change(parameter: str, factor: float):
-    chain = Chain(grains=5, diameter=1e-3)
+    plain = Chain(grains=5, diameter=np.full(5, 1e-3), top_load=1e-5)
+    name, _, number = parameter.rstrip("]").partition("[")
+    # Given masses and constants would not follow from changed diameters.
+    chain = plain.replace(**{name: getattr(plain, name)})
     orbit = orbits.normal_mode(chain, 2, 0.1 * chain.length_scale * chain.masses[0] * 9.81)
-    start = chain.masses[1] if "[" in parameter else getattr(chain, parameter)
+
+    def value(chain: Chain) -> float:
+        values = chain.diameters if name == "diameter" else getattr(chain, name)
+        return float(values[int(number) - 1] if number else values)
+
+    start = value(chain)
     family = orbits.follow(orbit, parameter, factor * start, hold="energy", events=False)
     assert family.reached
     end = family[-1].chain
-    assert (end.masses[1] if "[" in parameter else getattr(end, parameter)) == pytest.approx(
-        factor * start, rel=1e-12
-    )
+    assert value(end) == pytest.approx(factor * start, rel=1e-12)
+    assert (family.value[0], family.value[-1]) == pytest.approx((start, value(end)), rel=1e-12)
     assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
     exact = orbits.normal_mode(end, 2, orbit.energy)
     assert family[-1].period == pytest.approx(exact.period, rel=1e-9)

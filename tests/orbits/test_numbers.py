@@ -1,13 +1,13 @@
 """Text, pictures and multipliers of orbits, guesses, refusals, and paths between orbits."""
 
 from functools import cache
-from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from helpers.independent_theory import dense_modes
+from helpers.oscillator_period import oscillator_period
 
 from lmpchain import Chain, Drive, InputError, Profile, orbits, simulate
 from lmpchain.errors import RunFailed
@@ -47,11 +47,6 @@ def test_multipliers_come_in_pairs_the_largest_first():
     np.testing.assert_array_equal(with_trivial, [*pairs, 1, 1])
     beyond = floquet.multipliers(np.array([1 + 1e-9, -1 - 1e-9], complex), False)
     assert np.abs(beyond[::2]) == pytest.approx([1 + np.sqrt(2e-9)] * 2, rel=2e-9)
-
-
-def test_the_pair_1_is_removed():
-    means = np.array([0.2, 1 + 1e-7, 0.9, 1.2 + 0.1j])
-    np.testing.assert_array_equal(floquet.without_trivial(means), [0.2, 0.9, 1.2 + 0.1j])
 
 
 def test_the_numbers_of_an_orbit_are_written():
@@ -141,12 +136,7 @@ def test_a_linear_mode_has_the_requested_strain():
         change = np.diff(u) / CHAIN.contacts.overlap[1:4]
         assert np.abs(change).max() == pytest.approx(strain, rel=1e-12)
     assert np.abs(orbits.linear_mode(CHAIN, 2)[0] - u / 200).max() < 1e-12 * np.abs(u).max()
-    k = CHAIN.linear_stiffness
-    m = CHAIN.masses[0]
-    matrix = np.diag(np.append(0, k[:2]) + k) - np.diag(k[:2], 1) - np.diag(k[:2], -1)
-    assert 2 * np.pi / period == pytest.approx(
-        np.sqrt(np.linalg.eigvalsh(matrix / m)[1]), rel=1e-10
-    )
+    assert 2 * np.pi / period == pytest.approx(np.sqrt(dense_modes(CHAIN)[0][1]), rel=1e-10)
     for mode in (0, 4, True, 1.0, "1"):
         with pytest.raises(InputError, match=r"^mode: must be a whole number from 1 to 3 \(got "):
             orbits.linear_mode(CHAIN, mode)  # type: ignore[arg-type]
@@ -253,21 +243,7 @@ def test_a_single_light_grain_has_the_amplitude_of_its_period():
     eps = chain.contacts.overlap[1]
 
     def period(amplitude: float) -> float:
-        def potential(x: float) -> float:
-            return k / 2.5 * (max(eps + x, 0.0) ** 2.5 + max(eps - x, 0.0) ** 2.5)
-
-        def slowness(angle: float) -> float:
-            x = amplitude * np.sin(angle)
-            return (
-                amplitude
-                * np.cos(angle)
-                / np.sqrt(2 * (potential(amplitude) - potential(x)) / 1e-3)
-            )
-
-        opening = [np.arcsin(eps / amplitude)] if amplitude > eps else []
-        ends = [0.0, *opening, np.pi / 2]
-        parts = [quad(slowness, a, b, epsabs=0, epsrel=1e-10)[0] for a, b in pairwise(ends)]
-        return 4 * sum(parts)
+        return oscillator_period(amplitude, k, eps, 1e-3)
 
     from lmpchain.orbits.modes import amplitude_alone
 

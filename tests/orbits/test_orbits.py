@@ -1,13 +1,13 @@
 """Periodic orbits against exact solutions, the linear limit, extended precision and the engines."""
 
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 from helpers.extended_precision import tangent_map
+from helpers.oscillator_period import oscillator_period
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -81,33 +81,17 @@ def test_the_tangent_map_agrees_with_the_native_engine_and_is_symplectic(
     )
 
 
-def pi_mode_period(chain: Chain, amplitude: float) -> float:
-    """Return the period of antiphase neighbours between rigid walls, by quadrature."""
-    m = chain.masses[0]
-    k = chain.contact_constants[0]
-    eps = chain.contacts.overlap[1]
-    power = chain.exponent + 1
-
-    def potential(x: float) -> float:
-        return k / (2 * power) * (max(eps + 2 * x, 0.0) ** power + max(eps - 2 * x, 0.0) ** power)
-
-    def slowness(angle: float) -> float:
-        x = amplitude * np.sin(angle)
-        return amplitude * np.cos(angle) / np.sqrt(2 * (potential(amplitude) - potential(x)) / m)
-
-    opening = [np.arcsin(eps / (2 * amplitude))] if eps < 2 * amplitude else []
-    parts = pairwise([0.0, *opening, np.pi / 2])
-    return 4 * sum(quad(slowness, a, b, epsabs=0, epsrel=1e-12, limit=200)[0] for a, b in parts)
-
-
 @pytest.mark.parametrize("load", [1.0, 0.0])
 @pytest.mark.parametrize("relative", [0.3, 0.7, 3.0])
 def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative: float):
+    """Neighbours move in opposite directions between rigid walls."""
     chain = column(5, gravity=0.0, top_load=load, **WALLS)
     amplitude = relative * (chain.contacts.overlap[1] or 1e-7)
-    orbit = at_rest(chain, amplitude * (-1.0) ** np.arange(5), pi_mode_period(chain, amplitude))
+    numbers = chain.contact_constants[0], chain.contacts.overlap[1], chain.masses[0], 1.5, 2.0
+    period = oscillator_period(amplitude, *numbers)
+    orbit = at_rest(chain, amplitude * (-1.0) ** np.arange(5), period)
     found = np.abs(orbit.displacement).max()
-    assert pi_mode_period(chain, found) == pytest.approx(orbit.period, rel=1e-11)
+    assert oscillator_period(found, *numbers) == pytest.approx(orbit.period, rel=1e-11)
     assert orbit.residual < 1e-13
     assert orbit.error < 1e-11
     assert orbit.displacement[:-1] == pytest.approx(-orbit.displacement[1:], rel=1e-12)
@@ -285,12 +269,11 @@ def test_impossible_orbits_are_rejected_in_one_line():
     vacuum = column(5, gravity=0.0, top="wall", bottom="wall")
     chain = column(5)
     small = orbits.normal_mode(chain, 1, 1e-20)
-    free, loaded = (column(5, gravity=0.0, top_load=load) for load in (0.0, 1.0))
+    free = column(5, gravity=0.0)
     long = Profile(displacement=np.ones(6))
     ground = chain.replace(ground=Law("k*u", k=1.0))
     push = np.array([1e-9, 0, 0, 0, 0])
     burst = Drive(times=[0, 1], displacement=[0, 1e-9])
-    other = Drive(amplitude=1e-9, frequency=1.5e4)
     wrong = {
         "chain: carries no force at rest": lambda: orbits.normal_mode(vacuum, 1, 1e-9),
         "chain: flies apart": lambda: at_rest(free, np.array([1e-9, 0, 0, 0, 0]), 1e-4),
@@ -300,10 +283,7 @@ def test_impossible_orbits_are_rejected_in_one_line():
         "guess: is the chain at rest": lambda: at_rest(chain, np.zeros(5), 1e-4),
         "guess: is missing": lambda: orbits.find(chain, period=1e-4),
         "guess.displacement: must have one entry a grain": lambda: orbits.find(chain, long, 1e-4),
-        "period: must be a whole number": lambda: orbits.find(chain, period=1e-4, drive=other),
         "drive: must be a sine": lambda: orbits.find(chain, period=1e-4, drive=burst),
-        "grain: 3 has no heavier neighbour": lambda: orbits.breather(loaded, 3, 1e-5),
-        "period: must be between": lambda: orbits.breather(dimer(), 22, 1e-3),
         "parameter: must be energy, period": lambda: orbits.follow(small, "colour", 1.0),
         "until: must be above 0": lambda: orbits.follow(small, "energy", -1.0),
         "chain.ground: the search": lambda: orbits.linear_mode(ground, 1),
@@ -312,7 +292,6 @@ def test_impossible_orbits_are_rejected_in_one_line():
         "chain.ground: an orbit or": lambda: orbits.follow(
             small, lambda k: chain.replace(ground=Law("k*u", k=k)), 1.0, start=0.0
         ),
-        "number: the orbit is stable": lambda: small.direction(),
     }
     for message, call in wrong.items():
         with pytest.raises(InputError) as caught:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lmpchain import Chain, Drive, orbits
+from lmpchain import Chain, orbits
 from lmpchain.orbits import Family, Orbit
 
 CHAIN = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1.0)
@@ -67,52 +67,3 @@ def test_an_interrupted_family_states_its_position():
         == f"the limit of 1 orbits is reached at the parameter 1 (period {small().period:.6g} s)"
     )
     assert heavier.parameter == "parameter"
-
-
-@pytest.mark.parametrize(
-    "name", ["masses[2]", "diameter[3]", "contact_constants[1]", "top_load", "gravity"]
-)
-def test_the_linear_mode_depends_on_the_changed_parameter(name: str):
-    """The period at fixed energy follows from the eigenvalue of masses and springs."""
-    key = name.partition("[")[0]
-    given = {"diameter": np.full(4, 1e-3)} if key == "diameter" else {}
-    if key in ("masses", "contact_constants"):
-        given[key] = getattr(CHAIN, key)
-    if key == "gravity":
-        given[key] = 1.0
-    chain = CHAIN.replace(**given)
-    u, period = orbits.linear_mode(chain, 2, 1e-6)
-    orbit = orbits.find(chain, (u, 0 * u), period, energy=float(chain.excess_energy(u, 0 * u)))
-    values = {
-        "masses": chain.masses,
-        "diameter": chain.diameters,
-        "contact_constants": chain.contact_constants,
-    }
-    place = int(name[-2]) - 1 if "[" in name else 0
-    start = float(values[key][place]) if key in values else float(getattr(chain, key))
-    family = orbits.follow(orbit, name, 1.3 * start, hold="energy", events=False)
-    assert family.reached
-    assert (family.value[0], family.value[-1]) == pytest.approx((start, 1.3 * start), rel=1e-10)
-    assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
-    end = family[-1].chain
-    k = end.linear_stiffness
-    m = end.masses[:3]
-    matrix = (np.diag(np.append(0, k[:2]) + k) - np.diag(k[:2], 1) - np.diag(k[:2], -1)) / np.sqrt(
-        np.outer(m, m)
-    )
-    assert 2 * np.pi / family[-1].period == pytest.approx(
-        np.sqrt(np.linalg.eigvalsh(matrix)[1]), rel=1e-8
-    )
-    changed = {"diameter": end.diameters}.get(key, getattr(end, key))
-    assert np.atleast_1d(changed)[place] == pytest.approx(1.3 * start, rel=1e-10)
-
-
-def test_the_response_is_proportional_to_a_weak_drive():
-    sine = Drive(amplitude=1e-7 * CHAIN.length_scale, frequency=2e4)
-    orbit = orbits.find(CHAIN, drive=sine)
-    family = orbits.follow(orbit, "amplitude", 3 * sine.amplitude)
-    assert family.reached
-    assert family[-1].drive is not None
-    assert family[-1].drive.amplitude == pytest.approx(3 * sine.amplitude, rel=1e-10)
-    assert family[-1].velocity[1:] == pytest.approx(3 * orbit.velocity[1:], rel=1e-5)
-    assert family.period == pytest.approx(np.full(len(family), 5e-5), rel=1e-12)
