@@ -39,7 +39,7 @@ class Near(NamedTuple):
     omega : float
         Highest frequency, rad/s.
     nearest : float
-        Upper bound on the nearness: the inverse time to an opening, over 2 omega.
+        Upper bound on the nearness, which is the inverse time to an opening over omega.
     """
 
     inverse_length: Array
