@@ -49,5 +49,8 @@ def test_the_order_of_multipliers(rng):
     assert found[0:-2:2] == pytest.approx(large[order], abs=1e-12)
     assert found[1:-2:2] == pytest.approx(1 / large[order], abs=1e-12)
     assert found[-2:].tolist() == [1.0, 1.0]
+    # Pairs that have just left the circle, on which the root is small.
+    beyond = floquet.multipliers(np.array([1 + 1e-9, -1 - 1e-9], complex), False)
+    assert np.abs(beyond[::2]) == pytest.approx([1 + np.sqrt(2e-9)] * 2, rel=2e-9)
     near = np.array([1.2, 1.0 - 1e-9j, 0.7])
     assert floquet.without_trivial(near).tolist() == [1.2, 0.7]

@@ -95,20 +95,28 @@ def test_a_contact_that_never_closes_does_not_open():
         assert times.size == many
 
 
-@pytest.mark.parametrize("turns", [20.0, 200.0])
-@pytest.mark.parametrize("reach", [0.3, 0.18])
-def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, reach: float):
+@pytest.mark.parametrize(
+    ("times", "turns", "reach"),
+    [
+        ([0.13, 0.31, 0.62], 20.0, 0.18),
+        ([0.13, 0.31, 0.62], 200.0, 0.3),
+        *(([time], 50.0, 0.3) for time in (0.004, 0.996, 0.5, 0.0)),
+    ],
+)
+def test_graded_steps_are_symmetric_and_shrink_towards_openings(
+    times: list[float], turns: float, reach: float
+):
     """Steps are about 0.35 of the time to the nearest opening, including its mirror images."""
     rest = np.zeros((1, 5))
-    times = np.array([0.13, 0.31, 0.62])
     highest = shooting.highest_frequency(FLOW, rest)
     period = turns / highest
-    steps = shooting.graded(FLOW, period, rest, times, reach)
+    steps = shooting.graded(FLOW, period, rest, np.array(times), reach)
     even = shooting.uniform(FLOW, period, rest, reach)
     assert steps.size % 2 == 0
     assert steps.sum() == pytest.approx(1, rel=1e-12)
     np.testing.assert_allclose(steps, steps[::-1], rtol=1e-12)
-    every = np.array([0.13, 0.31, 0.38, 0.62, 0.69, 0.87])
+    once = np.array([*times, *(1 - np.array(times))])
+    every = np.array([*once, *(once - 1), *(once + 1)])
     ends = np.concatenate(([0.0], np.cumsum(steps)))
     distance = np.abs((ends[1:] + ends[:-1])[:, None] / 2 - every).min(1)
     least = shooting.MESH.crossing / turns
@@ -123,7 +131,7 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
     np.testing.assert_allclose(steps[away], even[0], rtol=0.01 + 2 / steps.size)
     graded = smooth & (grading * distance < 0.8 * even[0]) & (grading * distance > 3 * least)
     np.testing.assert_allclose(steps[graded], wanted[graded], rtol=0.05)
-    for time in every:
+    for time in once:
         near = np.abs(ends[1:-1] - time).argmin()
         shortest = steps[max(near - 2, 0) : near + 3].min()
         assert shortest == pytest.approx(least, rel=0.1)
@@ -146,26 +154,6 @@ def test_very_many_openings_give_a_limited_number_of_steps(drive: Drive | None):
     steps = shooting.graded(flow, period, rest, times)
     assert steps.size == 20_000
     assert steps.sum() == pytest.approx(1, rel=1e-12)
-
-
-@pytest.mark.parametrize("time", [0.004, 0.996, 0.5, 0.0])
-def test_an_opening_near_the_begin_or_the_middle_counts_from_both_sides(time: float):
-    """Steps are short on both sides of t = 0 and of half a period, where the motion is mirrored."""
-    rest = np.zeros((1, 5))
-    turns = 50.0
-    period = turns / shooting.highest_frequency(FLOW, rest)
-    steps = shooting.graded(FLOW, period, rest, np.array([time]))
-    ends = np.concatenate(([0.0], np.cumsum(steps)))
-    middles = (ends[1:] + ends[:-1]) / 2
-    near = min(time, 1 - time)
-    every = np.array([near, 1 - near, -near, 1 + near])
-    distance = np.abs(middles[:, None] - every).min(1)
-    even = shooting.uniform(FLOW, period, rest)[0]
-    close = (
-        (distance > 2 * steps) & (0.35 * distance < 0.8 * even) & (0.35 * distance > 3e-4 / turns)
-    )
-    assert close.sum() > 20
-    np.testing.assert_allclose(steps[close], 0.35 * distance[close], rtol=0.05)
 
 
 @pytest.mark.parametrize("time", [0.004, 0.2, 0.996])

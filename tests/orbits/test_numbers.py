@@ -11,7 +11,7 @@ from helpers.oscillator_period import oscillator_period
 
 from lmpchain import Chain, Drive, InputError, Profile, orbits, simulate
 from lmpchain.errors import RunFailed
-from lmpchain.orbits import Orbit, events, floquet
+from lmpchain.orbits import Orbit, events
 from lmpchain.orbits.events import Aspect
 from lmpchain.orbits.flow import Flow
 from lmpchain.orbits.shooting import Equations, OrbitPoint
@@ -27,26 +27,8 @@ def orbit() -> Orbit:
 
 @cache
 def unstable() -> Orbit:
-    masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
-    walls = {"top": "wall", "bottom": "wall"}
-    chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, masses=masses, **walls)
-    return orbits.breather(chain, 6, 5.5e-5)
-
-
-def test_multipliers_come_in_pairs_the_largest_first():
-    """Closed-form means (l + 1/l) / 2 are outside, on and inside the circle, and a quadruplet."""
-    quadruplet = 1.5 * np.exp(0.7j)
-    means = [np.cos(0.3), (2 + 1 / 2) / 2, -(3 + 1 / 3) / 2, np.cos(2.0)]
-    means += [(z + 1 / z) / 2 for z in (quadruplet, quadruplet.conjugate())]
-    pairs = floquet.multipliers(np.array(means, complex), False)
-    assert pairs[::2] * pairs[1::2] == pytest.approx(np.ones(6), abs=1e-13)
-    circle = [np.exp(0.3j), np.exp(2j)]
-    expected = [-3, 2, quadruplet.conjugate(), quadruplet, *circle]
-    assert pairs[::2] == pytest.approx(expected, rel=1e-12)
-    with_trivial = floquet.multipliers(np.array(means, complex), True)
-    np.testing.assert_array_equal(with_trivial, [*pairs, 1, 1])
-    beyond = floquet.multipliers(np.array([1 + 1e-9, -1 - 1e-9], complex), False)
-    assert np.abs(beyond[::2]) == pytest.approx([1 + np.sqrt(2e-9)] * 2, rel=2e-9)
+    """Return an orbit with a real and a complex unstable direction, in which contacts open."""
+    return orbits.normal_mode(CHAIN.replace(grains=6), 3, 60 * SCALE)
 
 
 def test_the_numbers_of_an_orbit_are_written():
@@ -99,14 +81,19 @@ def test_an_unstable_direction_grows_by_its_multiplier():
     assert not one.stable
     assert (np.abs(one.unstable) >= 1 + 1e-6).all()
     assert np.abs(one.unstable[0]) == np.abs(one.multipliers).max()
+    assert sorted(one.unstable.imag != 0) == [False, True, True]
+    for number, growth in enumerate(one.unstable, 1):
+        u, v = one.direction(number)
+        assert np.abs(u).max() == pytest.approx(1, rel=1e-12)
+        x = one.flow.canonical(u, v).ravel()
+        turned = one.monodromy @ x
+        # Vectors x, M x and M^2 x for the real part of an eigenvector.
+        expected = 2 * growth.real * turned - np.abs(growth) ** 2 * x
+        assert np.abs(one.monodromy @ turned - expected).max() < 1e-6 * np.abs(x).max()
+        if growth.imag == 0:
+            assert np.abs(turned - growth.real * x).max() < 1e-6 * np.abs(x).max()
     u, v = one.direction()
-    assert np.abs(u).max() == pytest.approx(1, rel=1e-12)
-    x = one.flow.canonical(u, v).ravel()
     growth = one.unstable[0]
-    turned = one.monodromy @ x
-    # Vectors x, M x and M^2 x for the real part of an eigenvector.
-    expected = 2 * growth.real * turned - np.abs(growth) ** 2 * x
-    assert np.abs(one.monodromy @ turned - expected).max() < 1e-6 * np.abs(x).max()
     away = simulate(
         one.scene(2, 3).replace(excitation=one.perturbed(1e-5)), "native", 1e-11
     ).displacement

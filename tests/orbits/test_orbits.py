@@ -193,22 +193,6 @@ def test_frequency_shifts_with_energy_agree_with_perturbation_theory(exponent: f
     assert (4 * slope[0] - slope[1]) / 3 == pytest.approx(shift, rel=1e-6)
 
 
-def test_a_driven_chain_follows_the_closed_form_in_the_linear_limit():
-    chain = column(6, gravity=0.0, top_load=1.0)
-    modes = eigenmodes(column(7, gravity=0.0, top_load=1.0))
-    w = 0.9 * modes.frequency[0]
-    k = chain.linear_stiffness[0]
-    m = chain.masses[0]
-    amplitude = 1e-6 * chain.length_scale
-    orbit = orbits.find(chain, drive=Drive(amplitude=amplitude, frequency=w / (2 * np.pi)))
-    q = 2 * np.arcsin(w / 2 * np.sqrt(m / k))  # Between the drive and grain 6, which is fixed.
-    exact = amplitude * w * np.sin(q * np.arange(5, -1, -1)) / np.sin(5 * q)
-    assert orbit.velocity == pytest.approx(exact, rel=1e-5)
-    assert orbit.residual < 1e-12
-    again = orbits.find(chain, (0 * exact, 0.9 * exact * [0, 1, 1, 1, 1, 1]), drive=orbit.drive)
-    assert again.velocity == pytest.approx(orbit.velocity, rel=1e-10)
-
-
 def test_an_orbit_with_initial_velocities_has_the_same_multipliers():
     chain = column(6)
     energy = 0.2 * chain.length_scale * chain.masses[0] * 9.81

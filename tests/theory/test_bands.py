@@ -11,7 +11,6 @@ from lmpchain.theory.bands import Cell, branches, gap_modes, gaps, local_bands, 
 from lmpchain.theory.modes import eigenmodes
 
 LOADED = {"gravity": 0.0, "top_load": 3.0, "diameter": 1e-3}
-DAMPED = Chain(grains=4, damping={"drag": 1.0}, **LOADED)
 Q = np.linspace(-np.pi, np.pi, 23)
 DECORATED = Cell([1.0, 2.0, 3.0], [1.0, 1.5, 1.0], [[0, 0], [0.5, 0.3], [0, 0]])
 CELLS = [
@@ -423,13 +422,10 @@ def test_picture_of_gap_modes():
         (lambda: waves(Cell([1.0], [1.0], drag=-1.0), 0.1), "drag"),
         (lambda: waves(Cell([1.0], [1.0], viscoelastic=[1.0, 1.0]), 0.1), "viscoelastic"),
         (lambda: waves(Cell([1.0], [1.0]), [0.1, 0.0]), "frequency"),
-        (lambda: branches(Cell([1.0], [1.0], drag=1.0), 0.1), "cell"),
         (
             lambda: Cell.of(Chain(grains=2, ground=Law("s*sin(t)*u", s=1.0), **LOADED)),
             "chain.ground",
         ),
-        (lambda: gap_modes(DAMPED, Chain(grains=2, **LOADED)), "chain.damping"),
-        (lambda: branches(DAMPED, 0.1), "chain.damping"),
         (lambda: branches(Cell([1.0], [1.0], ground=np.inf), 0.1), "ground"),
         (lambda: branches(Cell([1.0], [1.0], [[1.0, np.inf]]), 0.1), "resonators"),
         (lambda: waves(Cell([1.0], [1.0], viscoelastic=np.inf), 0.1), "viscoelastic"),

@@ -179,28 +179,11 @@ def test_searches_start_at_half_the_distance_of_the_ratios(least: float, monkeyp
     assert 0.3 < s[-1] - 1 / np.sqrt(least) < 0.71
 
 
-def test_a_scan_shows_its_progress_on_request(monkeypatch):
-    bars = []
-
-    class Bar:
-        def __init__(self, total, title, shown):
-            bars.append({"total": total, "title": title, "shown": shown, "done": 0})
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            return False
-
-        def advance(self):
-            bars[-1]["done"] += 1
-
-    monkeypatch.setattr(dimer_soliton, "ProgressBar", Bar)
-    _, begun = scan(0.1, monkeypatch, progress=True)
-    scan(0.1, monkeypatch)
-    number = len(begun)
-    expected = {"total": number, "title": "antiresonances", "done": number}
-    assert bars == [expected | {"shown": True}, expected | {"shown": False}]
+def test_a_scan_shows_its_progress_on_request(monkeypatch, capsys):
+    _, begun = scan(0.1, monkeypatch)
+    assert not capsys.readouterr().err
+    scan(0.1, monkeypatch, progress=True)
+    assert f"antiresonances: {len(begun)} of {len(begun)} |" in capsys.readouterr().err
 
 
 def test_picture():

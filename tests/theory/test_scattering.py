@@ -49,19 +49,6 @@ def solved(chain: Chain, w: float) -> tuple[complex, complex]:
     return phi[0] - 1, phi[-1]
 
 
-def test_against_a_linear_solve():
-    """Amplitudes and phases for a random piece and different leads."""
-    chain = Chain(grains=14, material=["steel", "glass"] * 7, gravity=0.0, top_load=2.0,
-                  diameter=RNG.uniform(0.8e-3, 1.3e-3, 14))  # fmt: skip
-    edges = [2 * np.sqrt(chain.linear_stiffness[end] / chain.masses[end]) for end in (0, -1)]
-    w = min(edges) * np.array([0.01, 0.3, 0.7, 0.95])
-    found = transmission(chain, w)
-    exact = np.array([solved(chain, one) for one in w]).T
-    assert found.amplitude_reflected == pytest.approx(exact[0], rel=1e-10, abs=1e-12)
-    assert found.amplitude_transmitted == pytest.approx(exact[1], rel=1e-10)
-    assert found.reflected == pytest.approx(np.abs(exact[0]) ** 2, rel=1e-10)
-
-
 def test_a_uniform_chain_transmits_everything():
     w = EDGE * np.linspace(1e-6, 1 - 1e-6, 7)
     found = transmission(HOST, w)
@@ -103,25 +90,6 @@ def test_a_wave_that_cannot_propagate_is_reflected():
     assert found.frequency.tolist() == w.tolist()
     above = w / 2 * np.sqrt(heavy.masses[0] / heavy.linear_stiffness[0])
     assert found.wavenumber == pytest.approx(2 * np.arcsin(above), rel=1e-14)
-
-
-def test_two_uniform_leads():
-    """A step in mass and stiffness has T = 4 Z Z' / (Z + Z')^2, Z = sqrt(k m), for long waves."""
-    masses = np.ones(8)
-    constants = np.ones(7)
-    masses[4:] = 3.0
-    constants[4:] = 2.0
-    chain = Chain(
-        grains=8,
-        diameter=1e5,
-        gravity=0.0,
-        top_load=1.0,
-        masses=masses,
-        contact_constants=constants,
-    )
-    one, other = (np.sqrt(chain.linear_stiffness[end] * masses[end]) for end in (0, -1))
-    found = transmission(chain, 1e-4)
-    assert found.transmitted == pytest.approx(4 * one * other / (one + other) ** 2, rel=1e-7)
 
 
 def masses_that_are_transparent(k: float, apart: int) -> float:
@@ -211,11 +179,7 @@ def test_the_message_about_the_band_edge():
     edge = 2 * np.sqrt(steel.linear_stiffness[0] / steel.masses[0])
     text = f"must be above 0 and below {edge:.6g} rad/s, the band edge of the lead above"
     for w in (0.0, edge, 1.0001 * edge):
-        with pytest.raises(InputError) as raised:
-            transmission(steel, w)
-        assert raised.value.faults == [("frequency", text)] or raised.value.faults == (
-            ("frequency", text),
-        )
+        assert faults(transmission, steel, w) == [("frequency", text)]
     assert transmission(steel, 0.9999 * edge).reflected <= 1
 
 
