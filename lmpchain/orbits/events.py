@@ -80,8 +80,7 @@ def locate(
 ) -> Member | None:
     """Return the orbit just after an event between two orbits of a family; None without an event.
 
-    The method is regula falsi with the Illinois rule; see M. Dowell and P. Jarratt, BIT 11, 168
-    (1971).
+    The method is regula falsi, and every third try halves the interval if it has shrunk slowly.
 
     Parameters
     ----------
@@ -105,7 +104,6 @@ def locate(
         _distance(kind, end, centre, after == larger),
     ]
     event = end
-    previous = -1
     for number in range(LOCATION.tries):
         gap = bounds[1] - bounds[0]
         if number % 3 == 0:
@@ -123,14 +121,10 @@ def locate(
         side = int(count != before)
         bounds[side] = position
         values[side] = _distance(kind, member, centre, count == larger)
-        # Illinois method: a bound that stays twice would delay convergence.
-        if side == previous:
-            values[1 - side] /= 2
         if side:
             event = member
         if bounds[1] - bounds[0] < LOCATION.near:
             break
-        previous = side
     return _passing(kind, event)
 
 
@@ -171,9 +165,9 @@ def _values(member: Member) -> Complex:
 
 
 def _centre(member: Member) -> float:
-    """Return the mean (A + 1/A) / 2 at which two pairs of multipliers collided; 0 if none did."""
+    """Return the mean (A + 1/A) / 2 at which two pairs of multipliers collided."""
     pairs = _complex(_values(member))
-    return float(pairs.real[np.abs(pairs.imag).argmin()]) if pairs.size else 0.0
+    return float(pairs.real[np.abs(pairs.imag).argmin()])
 
 
 def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
