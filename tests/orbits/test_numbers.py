@@ -66,6 +66,7 @@ def test_a_picture_has_the_displacements_at_eighths_of_the_period():
     assert [line.get_label() for line in ax.lines] == labels
     for number, line in enumerate(ax.lines):
         np.testing.assert_array_equal(line.get_xdata(), [1, 2, 3, 4])
+        assert line.get_linewidth() == 1
         row = u[np.abs(time - number * one.period / 8).argmin()]
         np.testing.assert_array_equal(line.get_ydata(), row)
     assert len({line.get_color() for line in ax.lines}) == 5
