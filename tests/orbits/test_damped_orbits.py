@@ -1,6 +1,7 @@
 """Orbits of damped, driven chains: closed forms, extended precision, SciPy and long runs."""
 
 import time
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -189,7 +190,10 @@ def test_multipliers_of_a_linear_chain_agree_with_its_modes():
 
 @pytest.mark.parametrize("kind", DRIVES)
 def test_multipliers_agree_with_extended_precision(kind: str):
-    """The variational equations are extrapolated in 80-bit numbers, and share only Eq. (1)."""
+    """The variational equations are extrapolated in 80-bit numbers, and share only Eq. (1).
+
+    The forces of all contacts are K o^(3/2) and their viscous parts, written out.
+    """
     chain = TRIMER.replace(top="wall" if kind == "wall" else "free")
     drive = DRIVES[kind].replace(amplitude={"grain": 8e-6, "wall": 4e-7, "force": 6.0}[kind])
     orbit = orbits.find(chain, drive=drive)
@@ -206,6 +210,20 @@ def test_multipliers_agree_with_extended_precision(kind: str):
         assert miss < 1e-10 * np.abs(begin[block]).max()
     expected = np.sort_complex(np.linalg.eigvals(end[:, 1:].astype(float)))
     assert np.sort_complex(orbit.multipliers) == pytest.approx(expected, abs=1e-10)
+    time, u, v = orbit.motion()
+    u, v = (np.pad(x, ((0, 0), (1, 1))) for x in (u, v))
+    if kind == "wall":
+        phase = 2 * np.pi * drive.frequency * time
+        u[:, 0] = drive.amplitude * np.sin(phase)
+        v[:, 0] = 2 * np.pi * drive.frequency * drive.amplitude * np.cos(phase)
+    overlap = np.maximum(contacts.overlap - np.diff(u, axis=1), 0.0)
+    viscous = chain.contact_viscosity * 1.5 * np.sqrt(overlap) * -np.diff(v, axis=1)
+    force = contacts.constant * (overlap**1.5 + viscous)
+    exists = contacts.exists
+    np.testing.assert_allclose(orbit.forces()[:, exists], force[:, exists], rtol=1e-9)
+    for number in np.flatnonzero(exists):
+        half = np.ptp(force[:, number]) / 2
+        assert orbit.response(f"force:{number}") == pytest.approx(half, rel=1e-9)
 
 
 def test_multipliers_do_not_depend_on_the_number_of_steps():
@@ -294,6 +312,13 @@ def test_a_period_doubling_is_located_between_distant_orbits():
     (event,) = family.events
     assert event.kind == "period doubling"
     assert np.abs(event.orbit.multipliers + 1).min() < 1e-7
+    branch = orbits.switch(event)
+    assert branch.period == pytest.approx(2 * event.orbit.period, rel=1e-12)
+    assert branch.drive.frequency == pytest.approx(drive.frequency, rel=1e-12)
+    assert misses(branch) < 1e-8
+    flow = replace(branch.flow, cycles=1)
+    half = flow.run(branch.state, branch.period / 2, np.full(100, 0.01)).end
+    assert np.abs(half - branch.state).max() > 0.01 * np.abs(branch.state).max()
 
 
 @pytest.mark.slow
