@@ -1,5 +1,6 @@
 """Lyapunov exponents and alignment indices, against matrix exponentials, SciPy and theory."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -205,6 +206,10 @@ def test_pictures_tables_and_refusals() -> None:
         assert line.get_ydata() == pytest.approx(expected[seen], rel=1e-12)
     assert {"time [s]", "exponent_1 [1/s]", "log_gali_10"} <= set(found.to_dataframe().columns)
     assert (found.gali(10)[-1:] == 0).all()
+    # The largest exponent alone decides.
+    for half_width, expected in (([1.0, 3.0], True), ([3.0, 1.0], False)):
+        few = {"exponent": np.array([2.0, 0.0]), "half_width": np.array(half_width)}
+        assert replace(found, **few).chaotic == expected
     chain = Chain(grains=4, **BEADS)
     scene = struck(chain, 0.1, 1e-3)
     with pytest.raises(InputError, match="exponents"):

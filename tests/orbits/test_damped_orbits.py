@@ -11,6 +11,7 @@ from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 
 from lmpchain import Chain, Damping, Drive, Force, InputError, Profile, Scene, orbits, simulate
+from lmpchain.errors import RunFailed
 from lmpchain.orbits import Family, Orbit
 from lmpchain.orbits.flow import Flow
 
@@ -316,6 +317,9 @@ def test_a_period_doubling_is_located_between_distant_orbits():
     assert branch.period == pytest.approx(2 * event.orbit.period, rel=1e-12)
     assert branch.drive.frequency == pytest.approx(drive.frequency, rel=1e-12)
     assert misses(branch) < 1e-8
+    # An orbit without a multiplier of -1 has no such branch.
+    with pytest.raises(RunFailed, match="no orbit of twice the period was found near"):
+        orbits.switch(replace(event, orbit=family[0], value=float(family.value[0])))
     flow = replace(branch.flow, cycles=1)
     half = flow.run(branch.state, branch.period / 2, np.full(100, 0.01)).end
     assert np.abs(half - branch.state).max() > 0.01 * np.abs(branch.state).max()
