@@ -96,7 +96,7 @@ def graded(
         return even
     shortest = MESH.crossing / (highest_frequency(flow, displacement) * period)
     mirrored = flow.drive is None
-    mirrors = (1 - times, -times) if mirrored else ()
+    mirrors = (1 - times,) if mirrored else ()
     near = np.unique(np.concatenate((times, times - 1, times + 1, *mirrors)))
     # Openings closer together than the shortest step are merged.
     near = near[np.append(True, np.diff(near) > shortest)]

@@ -1,6 +1,7 @@
 """Orbits of damped, driven chains: closed forms, extended precision, SciPy and long runs."""
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -36,33 +37,31 @@ def resonance() -> Family:
     return orbits.follow(orbits.find(ONE, drive=drive), "drive.frequency", 1.1 * OMEGA / 6.283)
 
 
-def rate(orbit: Orbit, wide: Any = np.float64) -> Any:
+def rate(orbit: Orbit) -> Callable[[float, np.ndarray], np.ndarray]:
     """Return the right-hand side of damped Eq. (1) for free grains, and its derivatives."""
     chain = orbit.chain
     drive = orbit.drive
     assert drive is not None
     held = int(isinstance(drive, Drive) and drive.grain == 1)
-    mass = chain.masses.astype(wide)[held:, None]
-    constant = chain.contacts.constant.astype(wide)[held:, None]
-    rest = chain.contacts.force.astype(wide)[held:, None]
-    delta = wide(chain.exponent)
+    mass = chain.masses[held:, None]
+    constant = chain.contacts.constant[held:, None]
+    rest = chain.contacts.force[held:, None]
+    delta = chain.exponent
     overlap = np.where(constant > 0, (rest / np.where(constant > 0, constant, 1)) ** (1 / delta), 0)
-    viscosity = chain.contact_viscosity.astype(wide)[held:, None]
-    drag = chain.drag.astype(wide)[held:, None]
-    omega = 2 * wide(np.pi) * wide(drive.frequency)
-    if wide is np.longdouble:
-        omega = 8 * np.arctan(wide(1)) * wide(drive.frequency)
-    size = wide(drive.amplitude)
+    viscosity = chain.contact_viscosity[held:, None]
+    drag = chain.drag[held:, None]
+    omega = 2 * np.pi * drive.frequency
+    size = drive.amplitude
 
-    def closer(u: Any, top: Any) -> Any:
-        ends = np.zeros((1, u.shape[1]), wide)
+    def closer(u: np.ndarray, top: float) -> np.ndarray:
+        ends = np.zeros((1, u.shape[1]))
         return -np.diff(np.concatenate((ends + top, u, ends)), axis=0)
 
-    def move(t: Any, y: Any) -> Any:
+    def move(t: float, y: np.ndarray) -> np.ndarray:
         """Return the rates of u and v, both (M,), followed by the rates of C deviations (2M, C)."""
         u, v = y[:, :1].reshape(2, -1, 1)
         push = np.zeros_like(u)
-        top = (wide(0), wide(0))
+        top = (0.0, 0.0)
         if isinstance(drive, Force):
             push[drive.grain - 1] = size * np.sin(omega * t)
         else:
@@ -88,34 +87,31 @@ def rate(orbit: Orbit, wide: Any = np.float64) -> Any:
     return move
 
 
-def start_of(orbit: Orbit, columns: bool, wide: Any = np.float64) -> Any:
-    """Return the state of the moving grains, and the identity matrix."""
+def start_of(orbit: Orbit) -> tuple[np.ndarray, np.ndarray]:
+    """Return the state of the moving grains relative to its scales, and the scales, (2M, 1)."""
     free = orbit.flow.free
-    state = np.concatenate((orbit.displacement[free], orbit.velocity[free])).astype(wide)[:, None]
-    return np.hstack((state, np.eye(state.size, dtype=wide))) if columns else state
+    state = np.concatenate((orbit.displacement[free], orbit.velocity[free]))[:, None]
+    scale = np.abs(state.reshape(2, -1)).max(1).repeat(state.size // 2)[:, None]
+    return state / scale, scale
 
 
-def extrapolated(move: Any, y: Any, period: Any, steps: int) -> Any:
-    """Return the state after a period by Gragg's extrapolated midpoint rule in 80-bit numbers."""
-    h = period / steps
-    for k in range(steps):
-        t = k * h
-        table: list[Any] = []
-        for row, count in enumerate(range(2, 26, 2)):
-            small = h / count
-            before = y
-            now = y + small * move(t, y)
-            for inner in range(1, count):
-                later = before + 2 * small * move(t + inner * small, now)
-                before = now
-                now = later
-            new = [(before + now + small * move(t + h, now)) / 2]
-            for column in range(row):
-                ratio = np.longdouble(count / (count - 2 * column - 2)) ** 2
-                new.append(new[column] + (new[column] - table[column]) / (ratio - 1))
-            table = new
-        y = table[-1]
-    return y
+def moved(orbit: Orbit, begin: np.ndarray, period: float | None = None) -> np.ndarray:
+    """Return a relative state, and deviations from it, (2M, 1 + C), after a period by SciPy."""
+    move = rate(orbit)
+    _, scale = start_of(orbit)
+
+    def slopes(t: float, y: np.ndarray) -> np.ndarray:
+        return np.asarray(move(t, y.reshape(begin.shape) * scale) / scale).ravel()
+
+    period = period or orbit.period
+    run = solve_ivp(slopes, (0, period), begin.ravel(), "DOP853", rtol=3e-14, atol=1e-14)
+    return np.asarray(run.y[:, -1].reshape(begin.shape))
+
+
+def misses(orbit: Orbit) -> float:
+    """Return the relative closure error of an orbit, integrated by SciPy with velocities."""
+    begin, _ = start_of(orbit)
+    return float(np.abs(moved(orbit, begin) - begin).max())
 
 
 DRIVES = {
@@ -190,8 +186,8 @@ def test_multipliers_of_a_linear_chain_agree_with_its_modes():
 
 
 @pytest.mark.parametrize("kind", DRIVES)
-def test_multipliers_agree_with_extended_precision(kind: str):
-    """The variational equations are extrapolated in 80-bit numbers, and share only Eq. (1).
+def test_multipliers_and_forces_agree_with_the_equation_of_motion(kind: str):
+    """The variational equations by SciPy share only Eq. (1).
 
     The forces of all contacts are K o^(3/2) and their viscous parts, written out.
     """
@@ -201,15 +197,10 @@ def test_multipliers_agree_with_extended_precision(kind: str):
     contacts = chain.contacts
     changes = orbit.forces()[:, contacts.exists] / contacts.force[contacts.exists] - 1
     assert -1 < changes.min() < -0.2  # The motion is nonlinear, and no contact opens.
-    wide = np.longdouble
-    move = rate(orbit, wide)
-    end = extrapolated(move, start_of(orbit, True, wide), 1 / wide(drive.frequency), 12)
-    begin = start_of(orbit, False)
-    moved = orbit.flow.size
-    for block in (slice(moved), slice(moved, None)):
-        miss = np.abs((end[block, :1] - begin[block]).astype(float)).max()
-        assert miss < 1e-10 * np.abs(begin[block]).max()
-    expected = np.sort_complex(np.linalg.eigvals(end[:, 1:].astype(float)))
+    begin, _ = start_of(orbit)
+    end = moved(orbit, np.hstack((begin, np.eye(begin.size))))
+    assert np.abs(end[:, :1] - begin).max() < 1e-10
+    expected = np.sort_complex(np.linalg.eigvals(end[:, 1:]))
     assert np.sort_complex(orbit.multipliers) == pytest.approx(expected, abs=1e-10)
     time, u, v = orbit.motion()
     u, v = (np.pad(x, ((0, 0), (1, 1))) for x in (u, v))
@@ -241,22 +232,6 @@ def test_multipliers_do_not_depend_on_the_number_of_steps():
         finer = np.sort_complex(np.linalg.eigvals(passage.deviation.reshape(size, size)))
         assert np.sort_complex(orbit.multipliers) == pytest.approx(finer, abs=1e-9)
     assert misses(orbit) < 1e-8
-
-
-def misses(orbit: Orbit) -> float:
-    """Return the relative closure error of an orbit, integrated by SciPy with velocities."""
-    move = rate(orbit)
-    begin = start_of(orbit, False)[:, 0]
-    scale = np.abs(begin.reshape(2, -1)).max(1).repeat(begin.size // 2)
-    run = solve_ivp(
-        lambda t, y: move(t, (scale * y)[:, None])[:, 0] / scale,
-        (0, orbit.period),
-        begin / scale,
-        "DOP853",
-        rtol=1e-12,
-        atol=1e-13,
-    )
-    return float(np.abs(run.y[:, -1] - run.y[:, 0]).max())
 
 
 @pytest.mark.parametrize("amplitude", thinned([7.5e-7, 1e-5], 2))
@@ -333,21 +308,11 @@ def test_a_period_doubling_is_located_and_its_branch_has_twice_the_period():
     family = orbits.follow(orbits.find(chain, drive=drive), "drive.amplitude", OVERLAP)
     (event,) = (event for event in family.events if event.kind == "period doubling")
     assert np.abs(event.orbit.multipliers + 1).min() < 1e-5
-    scale = np.array([OVERLAP, OVERLAP * OMEGA])
-
-    def moved(orbit: Orbit, begin: np.ndarray, period: float) -> np.ndarray:
-        move = rate(orbit)
-
-        def slopes(t: float, y: np.ndarray) -> np.ndarray:
-            return np.asarray(move(t, y.reshape(2, -1) * scale[:, None]) / scale[:, None]).ravel()
-
-        run = solve_ivp(slopes, (0, period), begin.ravel(), "DOP853", rtol=1e-12, atol=1e-13)
-        return np.asarray(run.y[:, -1].reshape(2, -1))
 
     def excess(amplitude: float) -> float:
         orbit = orbits.find(chain, event.orbit, drive=drive.replace(amplitude=amplitude * OVERLAP))
-        begin = np.hstack((start_of(orbit, False) / scale[:, None], np.eye(2)))
-        return float(np.linalg.det(moved(orbit, begin, orbit.period)[:, 1:] + np.eye(2)))
+        begin = np.hstack((start_of(orbit)[0], np.eye(2)))
+        return float(np.linalg.det(moved(orbit, begin)[:, 1:] + np.eye(2)))
 
     # The determinant changes its sign within 1e-6 of the event.
     near = event.value / OVERLAP * np.array([1 - 1e-6, 1 + 1e-6])
@@ -355,7 +320,7 @@ def test_a_period_doubling_is_located_and_its_branch_has_twice_the_period():
     branch = orbits.switch(event)
     assert branch.period == pytest.approx(2 * event.orbit.period, rel=1e-12)
     assert branch.drive.frequency == pytest.approx(drive.frequency, rel=1e-12)
-    state = start_of(branch, False) / scale[:, None]
+    state, _ = start_of(branch)
     half = moved(branch, state, branch.period / 2)
     assert np.abs(half - state).max() > 0.01 * np.abs(state).max()
     assert np.abs(moved(branch, half, branch.period / 2) - state).max() < 1e-9
@@ -427,22 +392,9 @@ def test_directions_and_forces_of_a_damped_orbit_agree_with_its_motion():
     assert orbit.unstable.size == 1
     u, v = orbit.direction()
     size = 1e-7 * orbit.amplitude
-    begin = start_of(orbit, False)
-    changed = begin + size * np.array([[u[1]], [v[1]]])
-    scale = np.array([[OVERLAP], [OVERLAP * OMEGA]])
-    ends = []
-    for state in (begin, changed):
-        move = rate(orbit)
-        run = solve_ivp(
-            lambda t, y, move=move: (move(t, y[:, None] * scale) / scale)[:, 0],
-            (0, orbit.period),
-            (state / scale)[:, 0],
-            "DOP853",
-            rtol=1e-13,
-            atol=1e-14,
-        )
-        ends.append(run.y[:, -1])
-    growth = (ends[1] - ends[0]) / ((changed - begin) / scale)[:, 0]
+    begin, scale = start_of(orbit)
+    change = size * np.array([[u[1]], [v[1]]]) / scale
+    growth = ((moved(orbit, begin + change) - moved(orbit, begin)) / change)[:, 0]
     assert growth == pytest.approx(orbit.unstable.real.repeat(2), rel=1e-4)
     chain = orbit.chain
     _, u, _ = orbit.motion()
