@@ -249,13 +249,13 @@ def test_solver_is_of_second_order(delta: float, driven: bool):
     )
     tau = np.array([0.0, 9.0, 20.0])
     errors = []
-    for cells in (15, 45, 135):
+    for cells in (11, 33, 99):
         field = continuum.solve(tau, 6, displacement=shape, drive=drive, delta=delta, cells=cells)
         u = shape(field.h) * np.cos(lam * tau[:, None])
         v = -lam * shape(field.h) * np.sin(lam * tau[:, None])
         errors.append(max(relative(field.displacement, u), relative(field.velocity, v)))
     assert np.diff(np.log(errors)) / np.log(3) == pytest.approx([-2, -2], abs=0.05)
-    assert errors[-1] < 1e-6
+    assert errors[-1] < 2e-6
 
 
 def test_solver_conserves_momentum():

@@ -46,7 +46,7 @@ def ratio(cell: Cell, w: float, cells: int = 150) -> complex:
 @pytest.mark.parametrize("name", thinned(CELLS, 2))
 def test_the_wavenumber_agrees_with_a_driven_chain(name):
     cell = CELLS[name]
-    w = np.array([0.35, 0.8, 1.4, 2.2, 4.0])
+    w = np.array([0.35, 1.4, 4.0])
     found = waves(cell, w)
     assert (found.wavenumber.imag > 0).all()
     exact = np.array([ratio(cell, one) for one in w])

@@ -34,7 +34,7 @@ def test_exponents_are_continuous_at_three():
 
 @pytest.mark.parametrize(
     ("n", "slope"),
-    [(100, -0.2381), (200, -0.2441), (500, -0.2504), (1000, -0.2541), (2000, -0.2569)],
+    [(100, -0.2381), (500, -0.2504), (2000, -0.2569)],
 )
 def test_local_exponents_of_the_chain_published(n: int, slope: float):
     """The exponents approach -4/15 slowly and pass -1/4 near n = 500.

@@ -97,10 +97,10 @@ def masses_that_are_transparent(k: float, apart: int) -> float:
     return 1 + 1 / np.tan(k * apart) / np.tan(k / 2)
 
 
-@pytest.mark.parametrize("apart", [1, 2, 4])
+@pytest.mark.parametrize("apart", [1, 4])
 def test_masses_of_two_impurities_that_are_transparent(apart: int):
     """For two point scatterers (mu - 1) w^2 m / k = 2 sin(k) cot(k d), within the bounds."""
-    grains = {1: [5, 6], 2: [5, 7], 4: [4, 8]}[apart]
+    grains = {1: [5, 6], 4: [4, 8]}[apart]
     numbers = []
     for k in (0.2, 1.7):
         factor = masses_that_are_transparent(k, apart)

