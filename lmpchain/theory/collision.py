@@ -121,7 +121,7 @@ def kdv(speed: float, other: float) -> float:
     """
     _check_overtaking(speed, other, False)
     for value in (speed, other):
-        require(("speed", value > 1, f"must be above 1, that of sound (got {value!r})"))
+        require(("speed", 1 < value < np.inf, f"must be above 1, that of sound (got {value!r})"))
     kappa = np.sqrt(24 * (speed - 1))
     q = np.sqrt(24 * (other - 1))
     shift = 2 / kappa * np.log((kappa + q) / abs(kappa - q))

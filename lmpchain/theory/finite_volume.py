@@ -92,6 +92,7 @@ def solve(
     ascending = tau.ndim == 1 and tau.size and tau[0] >= 0 and (np.diff(tau) >= 0).all()
     require(
         ("tau", ascending, "must be a list that ascends from 0 or more"),
+        ("tau", np.isfinite(tau), "must be finite"),
         ("cells", cells % 2, "must be odd"),
     )
     eta = exponents(delta).eta

@@ -60,7 +60,8 @@ class Edges(NamedTuple):
 class Medium:
     """A uniform chain in analogy to a gas.
 
-    All methods raise `InputError` for a negative overlap, because open contacts have the overlap 0.
+    All methods raise `InputError` for an overlap that is negative, because open contacts have the
+    overlap 0, or not finite.
 
     Attributes
     ----------
@@ -154,7 +155,8 @@ class Medium:
         """
         jump = velocity - ahead.velocity
         require(
-            ("velocity", jump > 0, "must exceed the velocity ahead: otherwise there is no shock")
+            ("velocity", np.isfinite(jump), "must be finite, as the velocity ahead"),
+            ("velocity", jump > 0, "must exceed the velocity ahead: otherwise there is no shock"),
         )
 
         def excess(overlap: float) -> float:
@@ -232,9 +234,9 @@ class Medium:
 
 
 def _require_overlap(overlap: float) -> None:
-    """Raise `InputError` for negative overlaps, whose powers would be complex."""
+    """Raise `InputError` for infinite overlaps, and negative ones, whose powers are complex."""
     message = f"must be 0 or more (got {shown(overlap)}): an open contact has the overlap 0"
-    require(("overlap", overlap >= 0, message))
+    require(("overlap", 0 <= overlap < np.inf, message))
 
 
 def _require_compression(ahead: State, overlap: float) -> None:

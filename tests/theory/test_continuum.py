@@ -365,6 +365,7 @@ def test_shapes_follow_the_arguments():
         (lambda: continuum.impulse_response(1.0, 1.0, np.inf), "delta"),
         (lambda: continuum.solve([1.0, 0.0], 5), "tau"),
         (lambda: continuum.solve([-1.0], 5), "tau"),
+        (lambda: continuum.solve([0.0, np.inf], 5), "tau"),
         (lambda: continuum.solve([1.0], 1), "grains"),
         (lambda: continuum.solve([1.0], 5, cells=2), "cells"),
         (lambda: continuum.solve([1.0], 5, delta=0.0), "delta"),

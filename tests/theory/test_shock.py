@@ -118,7 +118,7 @@ def test_contacts_open_behind_a_fast_withdrawal() -> None:
     assert middle.overlap == pytest.approx(0.7 * 0.05**0.8, rel=1e-9)
 
 
-@pytest.mark.parametrize("overlap", [-1e-9, np.nan])
+@pytest.mark.parametrize("overlap", [-1e-9, np.nan, np.inf])
 def test_overlaps_of_gaps_are_rejected(overlap: float) -> None:
     """No power of a negative overlap is taken, ahead or behind."""
     gap = State(0.0, overlap)
@@ -167,5 +167,6 @@ def test_linear_chains_and_pulling_pistons_are_rejected() -> None:
     """Springs and a pulling piston make no shock."""
     with pytest.raises(InputError, match="exponent: must be above 1"):
         Medium(1.0, 2.0, 0.3)
-    with pytest.raises(InputError, match="velocity: must exceed"):
-        GAS.rankine_hugoniot(AHEAD, 0.05)
+    for velocity, message in ((0.05, "must exceed"), (np.inf, "must be finite")):
+        with pytest.raises(InputError, match=f"velocity: {message}"):
+            GAS.rankine_hugoniot(AHEAD, velocity)
