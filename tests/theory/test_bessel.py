@@ -213,6 +213,10 @@ def test_tables_of_bessel_functions():
             exact = besselj(2 * k, x)
             tolerance = 1e-13 * abs(exact) if abs(x) < k else 4e-16
             assert even[k, column[i]] == pytest.approx(exact, abs=max(tolerance, 1e-270))
+    # Without a count, a table ends where the largest argument has its last values above 0.
+    whole, *_ = bessel.table("z", z)
+    assert whole[:700].tolist() == even.tolist()
+    assert 0 < np.abs(whole[-1]).max() < 1e-250
     with mp.workdps(30):
         for k, x in ((0, 0.5), (0, 77.7), (10, 3.0), (40, 77.7)):
             exact = sum(mp.besselj(2 * k + 2 * j + 1, x) for j in range(80))
