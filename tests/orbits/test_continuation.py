@@ -282,6 +282,37 @@ def test_a_family_that_fails_keeps_its_orbits_and_the_reason(monkeypatch: pytest
     assert (len(family), family.ended[:34]) == (1, "it cannot be followed beyond energ")
 
 
+@pytest.mark.parametrize("failures", [3, 100])
+def test_a_target_is_approached_by_halving_if_no_orbit_is_found_there(
+    failures: int, monkeypatch: pytest.MonkeyPatch
+):
+    """The first guesses at the target fail; the orbit is found from shorter steps, or never."""
+    _, first, until = third_mode()
+    exact = orbits.follow(first, "energy", until, events=False)
+    failed = []
+    solve = continuation.solve
+
+    def failing(equations, *arguments, **options):
+        solution = solve(equations, *arguments, **options)
+        energy = equations.flow_at(0.0).energy(solution.point.state)[0] if solution else 0.0
+        if energy != pytest.approx(until, rel=1e-9) or len(failed) == failures:
+            return solution
+        failed.append(energy)
+        return None
+
+    monkeypatch.setattr(continuation, "solve", failing)
+    family = orbits.follow(first, "energy", until, events=False)
+    assert family.reached == (failures == 3)
+    if family.reached:
+        assert len(failed) == failures
+        assert family.period[-1] == pytest.approx(exact.period[-1], rel=1e-10)
+    else:
+        assert family.ended == f"no orbit of the family is found at {until:g}"
+        # Halving ends at a ten-millionth of the size of the orbit.
+        assert 15 < len(failed) < 30
+        assert family.value.tolist() == exact.value[:-1].tolist()
+
+
 def test_a_family_with_crowded_events_ends_with_the_located_ones(
     monkeypatch: pytest.MonkeyPatch,
 ):
