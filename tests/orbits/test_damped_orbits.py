@@ -505,7 +505,10 @@ def test_invalid_damped_orbits_are_rejected():
         r"^drive: must be a sine": lambda: orbits.find(
             TRIMER, drive=Force(grain=1, shape="half-sine", amplitude=1.0, duration=1e-5)
         ),
-        r"^of: the contacts are numbered 1 to 4": lambda: pushed.response("force:9"),
+        r"^of: the contacts are numbered 1 to 4": lambda: pushed.response("force:5"),
+        r"^of: the contacts are numbered 1 to 4 ": lambda: pushed.response("force:0"),
+        r"^of: the grains are numbered 1 to 4": lambda: pushed.response("displacement:5"),
+        r"^of: the grains are numbered 1 to 4 ": lambda: pushed.response("displacement:0"),
         r'^of: must be "amplitude"': lambda: pushed.response("energy"),
         r"^parameter: must be period, a number of the drive": lambda: orbits.follow(
             pushed, "damping.friction", 1.0
