@@ -14,7 +14,7 @@ from helpers.standalone_lammps import lmp
 from helpers.taylor_series import reference
 from helpers.thinned import thinned
 
-from lmpchain import Chain, Displacement, Force, Impulse, InputError, Scene, Trajectory
+from lmpchain import Chain, Force, Impulse, InputError, Scene, Trajectory
 from lmpchain.cli import main
 from lmpchain.engines.lammps.export import write_deck
 
@@ -196,30 +196,21 @@ COUNT = r"ITEM: NUMBER OF ATOMS must be a whole number"
 CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
     "as it was": (lambda frames: None, ""),
     "micrometres": (scaled("x y z", 1e6), "grains 1 and 2 are .* m apart .* in units si"),
-    "millimetres": (scaled("x y z", 1e3), "grains 1 and 2 are .* m apart .* in units si"),
-    "centimetres": (scaled("x y z vz", 1e2), "grains 1 and 2 are .* m apart"),
-    "angstroms": (scaled("x y z", 1e10), "grains 1 and 2 are .* m apart .* in units si"),
-    "all in micrometres": (scaled("x y z vz v_phi radius", 1e6), "grains 1 and 2 are .* m apart"),
     "velocities in mm/s": (scaled("vz", 1e3), "grain 1 begins with a velocity of 0.1 m/s"),
     "velocities upward": (scaled("vz", -1), "grain 1 begins with a velocity of -0.0001 m/s"),
-    "larger": (scaled("z radius", 1.1), "grains 1 and 2 are 0.00109"),
     "a little larger": (scaled("z radius", 1.0001), r"grains \d+ and \d+ (are|overlap)"),
-    "smaller": (scaled("z radius", 0.9), "grains 1 and 2 are 0.000899"),
     "one grain elsewhere": (one_more, r"grains \d+ and \d+ are 0.00"),
     "later columns": (later_columns, "ITEM: ATOMS names other columns at step 140 than in"),
     "fewer columns": (fewer_columns, "ITEM: ATOMS names other columns at step 140 than in"),
     "other order": (lambda frames: [f.columns.reverse() for f in frames] and None, ""),
     "with its times": (timed(2e-7), ""),
-    "with later times": (timed(2e-7, start=3.0), "samples of the scene|^$"),
+    "with later times": (timed(2e-7, start=3.0), ""),
     "with times of half the length": (timed(1e-7), "1e-07 s apart by .* scene are 2e-07"),
     "with times in us": (timed(0.2), "0.2 s apart by ITEM: TIME or .* scene are 2e-07"),
     "with times a little longer": (timed(2.001e-7), "apart by ITEM: TIME.*set the duration of"),
     "with a word as time": (odd_times, "ITEM: TIME must be a number of seconds .got noon."),
     "with a time lost": (lost_time, "by ITEM: TIME"),
     "with uneven times": (uneven_times, "by ITEM: TIME"),
-    "in units lj": (timed(2e-7, units="lj"), "lj has no scale: give"),
-    "in units micro": (timed(2e-7, units="micro"), "apart by ITEM: TIME"),
-    "in units real": (timed(2e-7, units="real"), "apart by ITEM: TIME"),
     "in units cgs": (timed(2e-7, units="cgs"), "grains 1 and 2 are .* m apart"),
     "wrapped with flags": (wrapped(flags=True, lowest=-0.0056), ""),
     "wrapped often, with flags": (wrapped(flags=True, lowest=0.0844), ""),
@@ -230,17 +221,11 @@ CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
     "tilted": (tilted, "ITEM: BOX BOUNDS must have two numbers in each line"),
     "words in the box": (words_in_box, "ITEM: BOX BOUNDS must have two numbers in each line"),
     "superscripts": (set_line("atoms", "\N{SUPERSCRIPT TWO}"), COUNT),
-    "arabic digits": (set_line("atoms", "\N{ARABIC-INDIC DIGIT ONE}"), COUNT),
     "thousands of digits": (set_line("atoms", "1" * 5000), COUNT),
     "a sign": (set_line("atoms", "-12"), COUNT),
-    "underscores": (set_line("atoms", "1_2"), COUNT),
-    "digits later": (set_line("atoms", "\N{SUPERSCRIPT TWO}", 5), COUNT),
-    "a step of odd digits": (set_line("step", "\N{SUPERSCRIPT TWO}"), "ITEM: TIMESTEP must be"),
     "no steps": (set_line("step", "first", 3), "ITEM: TIMESTEP must be a whole number .got first"),
     "more atoms": (set_line("atoms", "13"), "has 13 atoms, but the scene has 12 grains"),
     "half of the frames": (every(2), "21 whole frames.*samples = 21, duration = 4e-06"),
-    "a third of the frames": (every(3), "14 whole frames.*samples = 14, duration = 2.6e-06"),
-    "the first half": (lambda frames: frames.__delitem__(slice(21, None)), "21 whole frames"),
 }
 
 
@@ -299,7 +284,7 @@ def test_a_changed_dump_is_read_unchanged_or_rejected(original: Path, name: str,
     frames = frames_of(original)
     change(frames)
     path = write(tmp_path / "changed.dump", frames)
-    if says and not says.endswith("^$"):
+    if says:
         # A deck of lmpchain has a separate column of displacements.
         if name == "velocities upward" and "own" in original.name:
             says = "grain 12 begins with a velocity|" + says
@@ -331,7 +316,6 @@ def other(chain: dict[str, Any] | None = None, **scene: Any) -> Scene:
 
 SCENES: dict[str, tuple[Scene, str]] = {
     "steel": (other({"material": "steel"}), "overlap by|forces of the scene"),
-    "brass": (other({"material": "brass"}), "overlap by|forces of the scene"),
     "a little denser": (
         other({"material": {"density": 2450.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}}),
         "overlap by .* with its diameter, material, load and gravity|has a mass of",
@@ -340,16 +324,11 @@ SCENES: dict[str, tuple[Scene, str]] = {
         other({"material": {"density": 2426.0, "youngs_modulus": 62.1e9, "poissons_ratio": 0.2}}),
         "overlap by .* with its diameter, material, load and gravity",
     ),
-    "larger": (other({"diameter": 1.1e-3}), "m apart in the first frame, but 0.0010"),
-    "smaller": (other({"diameter": 0.9e-3}), "m apart in the first frame, but 0.0008"),
     "a little larger": (other({"diameter": 1.001e-3}), "m apart in the first frame"),
     "one larger": (other({"diameter": [1e-3] * 5 + [1.02e-3] + [1e-3] * 6}), "grains 5 and 6 are"),
-    "twice the load": (other({"top_load": 0.04}), "grains 1 and 2 overlap by"),
-    "half the load": (other({"top_load": 0.01}), "grains 1 and 2 overlap by"),
     "a little more load": (other({"top_load": 0.0202}), "grains 1 and 2 overlap by"),
     "no load": (other({"top_load": 0.0}), "grains 1 and 2 overlap by"),
     "no gravity": (other({"gravity": 0.0}), r"grains \d+ and \d+ overlap by"),
-    "the moon": (other({"gravity": 1.62}), r"grains \d+ and \d+ overlap by"),
     "one heavier": (other({"masses": [4e-06, *CHAIN.masses[1:].tolist()]}), "overlap by"),
     "another exponent": (other({"exponent": 1.4}), "overlap by"),
     "half the duration": (
@@ -360,42 +339,24 @@ SCENES: dict[str, tuple[Scene, str]] = {
         other(duration=16e-6),
         "change 0.5 times .* 4e-07 s, the sampling|2e-07 s apart by .* 4e-07",
     ),
-    "a tenth longer": (
-        other(duration=8.8e-6),
-        "change 0.909 times .* give the scene|apart by .* v_time",
-    ),
     "a hundredth longer": (
         other(duration=8.08e-6),
         "change 0.99 times .* give the scene|apart by .* v_time",
     ),
-    "a tenth of the duration": (
-        other(duration=8e-7),
-        "change 10 times .* give the scene|apart by .* v_time",
-    ),
     "more samples": (other(samples=81), "41 whole frames, but the scene has 81 samples over"),
-    "fewer samples": (other(samples=21), "41 whole frames, but the scene has 21 samples over"),
     "another speed": (
         other(excitation=Impulse(velocity=2e-4)),
         "grain 1 begins with a velocity of 0.0001 m/s, but with 0.0002 in the scene: give",
     ),
-    "another grain": (
-        other(excitation=Impulse(velocity=1e-4, grain=5)),
-        "grain 1 begins with a velocity of 0.0001 m/s, but with 0 in the scene: give the scene",
-    ),
     "another grain, faster": (
         other(excitation=Impulse(velocity=2e-4, grain=5)),
         "grain 5 begins with a velocity of 0 m/s, but with 0.0002 in the scene; grain 1 begins",
-    ),
-    "a displacement": (
-        other(excitation=Displacement(displacement=1e-9, grain=3)),
-        "grain 1 begins with a velocity of 0.0001 m/s, but with 0 in the scene",
     ),
     "a force": (
         other(excitation=Force(shape="half-sine", amplitude=1e-3, duration=2e-6)),
         "grain 1 begins with a velocity of 0.0001 m/s, but with 0 in the scene",
     ),
     "more grains": (other({"grains": 13}), "has 12 atoms, but the scene has 13 grains"),
-    "fewer grains": (other({"grains": 11}), "has 12 atoms, but the scene has 11 grains"),
 }
 
 

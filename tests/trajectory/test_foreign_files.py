@@ -93,89 +93,35 @@ class Unpickling(Codec):
 numcodecs.register_codec(Unpickling)
 
 
-@pytest.mark.parametrize("codec", ["pickle", Unpickling.codec_id])
-@pytest.mark.parametrize("kind", ["filters", "compressor"])
-def test_no_pickle_of_a_store_is_opened(
-    run_folder: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]
-):
+def test_no_pickle_of_a_store_is_opened(run_folder: Path, capsys: pytest.CaptureFixture[str]):
     """The store of Zarr version 2 has a filter that executes the content of its chunks."""
     mark = run_folder.parent / "mark"
     store = run_folder / "trajectory.zarr"
     about = json.loads((store / "zarr.json").read_text())["attributes"]
     shutil.rmtree(store)
-    fields = {"displacement": (41, 12), "velocity": (41, 12), "time": (41,), "grain": (12,)}
-    (store / "velocity").mkdir(parents=True)
+    store.mkdir()
     (store / ".zgroup").write_text('{"zarr_format": 2}')
     (store / ".zattrs").write_text(json.dumps(about))
+    fields = {"displacement": (41, 12), "velocity": (41, 12), "time": (41,), "grain": (12,)}
     for name, shape in fields.items():
-        made = {
-            "zarr_format": 2,
-            "shape": shape,
-            "chunks": shape,
-            "dtype": "|O",
-            "fill_value": None,
-            "order": "C",
-        }
-        made |= {"filters": None, "compressor": None} | {
-            kind: [{"id": codec}] if kind == "filters" else {"id": codec, "protocol": 5}
-        }
-        (store / name).mkdir(exist_ok=True)
-        (store / name / ".zarray").write_text(json.dumps(made))
-        dimensions = ["time", "grain"] if len(shape) == 2 else [name]
+        layout = {"zarr_format": 2, "shape": shape, "chunks": shape, "dtype": "|O", "order": "C"}
+        codecs = {"fill_value": None, "filters": [{"id": Unpickling.codec_id}], "compressor": None}
+        (store / name).mkdir()
+        (store / name / ".zarray").write_text(json.dumps(layout | codecs))
+        dimensions = ["time", "grain"][: len(shape)]
         (store / name / ".zattrs").write_text(json.dumps({"_ARRAY_DIMENSIONS": dimensions}))
         (store / name / ".".join("0" * len(shape))).write_bytes(pickle.dumps(Trap(mark)))
     assert "Zarr format 3" in refused(run_folder, capsys)
     assert not mark.exists()
 
 
-def changed(run_folder: Path, name: str, change: Callable[[dict[str, Any]], None]) -> None:
-    """Change the metadata of an array in its own file, or also in the consolidated metadata."""
-    for path, where in (
-        (run_folder / "trajectory.zarr" / name, None),
-        (run_folder / "trajectory.zarr", name),
-    ):
-        about = json.loads((path / "zarr.json").read_text())
-        change(about["consolidated_metadata"]["metadata"][name] if where else about)
-        (path / "zarr.json").write_text(json.dumps(about))
-
-
 CODEC = {"name": "numcodecs.pickle", "configuration": {}}
-CHANGES: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
-    "codec": ("time", lambda about: about["codecs"].append(CODEC)),
-    "other codec": (
-        "time",
-        lambda about: about["codecs"].__setitem__(1, {"name": "gzip", "configuration": {}}),
-    ),
-    "codec in a shard": (
-        "velocity",
-        lambda about: about["codecs"][0]["configuration"]["codecs"].append(CODEC),
-    ),
-    "codec of an index": (
-        "velocity",
-        lambda about: about["codecs"][0]["configuration"]["index_codecs"].append(CODEC),
-    ),
-    "no shards": ("velocity", lambda about: about.update(codecs=[{"name": "bytes"}])),
-    "transformer": (
-        "velocity",
-        lambda about: about["storage_transformers"].append({"name": "remote"}),
-    ),
-    "objects": ("velocity", lambda about: about.update(data_type="object")),
-    "text": ("grain", lambda about: about.update(data_type="string", fill_value="")),
-    "single precision": ("velocity", lambda about: about.update(data_type="float32")),
-    "shape": ("velocity", lambda about: about.update(shape=[10**9, 12])),
-    "shape of times": ("time", lambda about: about.update(shape=[10**12])),
-    "shard": (
-        "velocity",
-        lambda about: about["chunk_grid"]["configuration"].update(chunk_shape=[48 * 10**8, 12]),
-    ),
-    "chunk": (
-        "velocity",
-        lambda about: about["codecs"][0]["configuration"].update(chunk_shape=[48 * 10**8, 12]),
-    ),
-    "fill": ("velocity", lambda about: about.update(fill_value=0.0)),
-    "unknown": ("velocity", lambda about: about.update(plugin={"must_understand": False})),
-    "a list": ("velocity", lambda about: about.update(codecs=[[]])),
-    "nothing": ("velocity", lambda about: about.clear()),
+CHANGES: dict[str, Callable[[dict[str, Any]], None]] = {
+    "codec in a shard": lambda about: about["codecs"][0]["configuration"]["codecs"].append(CODEC),
+    "objects": lambda about: about.update(data_type="object"),
+    "shape": lambda about: about.update(shape=[10**9, 12]),
+    "a list": lambda about: about.update(codecs=[[]]),
+    "nothing": lambda about: about.clear(),
 }
 
 
@@ -186,23 +132,21 @@ def test_a_store_with_another_layout_is_rejected_unopened(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ):
+    """The metadata of an array and their copy in those of the group differ from lmpchain's."""
     import xarray
     import zarr
 
-    changed(run_folder, *CHANGES[change])
+    store = run_folder / "trajectory.zarr"
+    for path in (store / "velocity" / "zarr.json", store / "zarr.json"):
+        about = json.loads(path.read_text())
+        of_group = path.parent == store
+        CHANGES[change](
+            about["consolidated_metadata"]["metadata"]["velocity"] if of_group else about
+        )
+        path.write_text(json.dumps(about))
     for library, opening in ((xarray, "open_dataset"), (zarr, "open_group"), (zarr, "open_array")):
         monkeypatch.setattr(library, opening, lambda *_, **__: pytest.fail("it was opened"))
     refused(run_folder, capsys)
-
-
-def test_a_chunk_that_declares_more_than_it_contains_is_rejected(
-    run_folder: Path, capsys: pytest.CaptureFixture[str]
-):
-    path = run_folder / "trajectory.zarr" / "time" / "c" / "0"
-    content = bytearray(path.read_bytes())
-    content[4:8] = (2**31 - 17).to_bytes(4, "little")  # Number of bytes that Blosc should allocate.
-    path.write_bytes(content)
-    assert "more numbers than it" in refused(run_folder, capsys)
 
 
 @pytest.mark.parametrize(
@@ -345,100 +289,52 @@ def test_the_state_of_a_checkpoint_must_match_its_run(stopped: Path, what: str):
 # --- HDF5
 
 
-def linked(file: h5py.File, outside: Path) -> None:
-    file["velocity"] = h5py.ExternalLink(outside, "/velocity")
-
-
-def loop(file: h5py.File, outside: Path) -> None:
-    file["velocity"] = h5py.SoftLink("/again")
-    file["again"] = h5py.SoftLink("/velocity")
-
-
-def soft(file: h5py.File, outside: Path) -> None:
-    file["other"] = np.zeros((41, 12))
-    file["velocity"] = h5py.SoftLink("/other")
-
-
-def external(file: h5py.File, outside: Path) -> None:
-    file.create_dataset(
-        "velocity", (41, 12), "f8", external=[(str(outside), 0, h5py.h5f.UNLIMITED)]
-    )
-
-
-def virtual(file: h5py.File, outside: Path) -> None:
-    layout = h5py.VirtualLayout((41, 12), "f8")
-    layout[:] = h5py.VirtualSource(outside, "velocity", (41, 12))
-    file.create_virtual_dataset("velocity", layout)
-
-
-def huge(file: h5py.File, outside: Path) -> None:
-    file.create_dataset("velocity", (41, 10**12), "f8")
-
-
-def unwritten(file: h5py.File, outside: Path) -> None:
-    file.create_dataset("velocity", (41, 12), "f8")
-
-
-def packed(file: h5py.File, outside: Path) -> None:
-    file.create_dataset("velocity", data=np.zeros((41, 12)), compression="gzip")
-
-
-def objects(file: h5py.File, outside: Path) -> None:
-    file.create_dataset("velocity", (41, 12), h5py.string_dtype())
-
-
-def group(file: h5py.File, outside: Path) -> None:
-    file.create_group("velocity")
-
-
-def long_scene(file: h5py.File, outside: Path) -> None:
-    file["velocity"] = np.zeros((41, 12))
-    text = file.attrs["scene"]
-    file.attrs["scene"] = text.replace("grains = 12", "grains = 1000000")
-
-
-def many_scenes(file: h5py.File, outside: Path) -> None:
-    file["velocity"] = np.zeros((41, 12))
-    file.attrs["scene"] = np.array(["a", "b"], dtype=object)
-
-
-def tables(file: h5py.File, outside: Path) -> None:
-    file["velocity"] = np.zeros((41, 12))
-    text = file.attrs["scene"]
-    file.attrs["scene"] = text.replace("grains = 12", f'file = "{outside}"')
-
-
 KINDS = [
-    linked,
-    loop,
-    soft,
-    external,
-    virtual,
-    huge,
-    unwritten,
-    packed,
-    objects,
-    group,
-    long_scene,
-    many_scenes,
-    tables,
-]
+    "link to another file", "link", "link to itself", "stored outside", "virtual", "huge",
+    "not written", "packed", "text", "group", "longer chain", "chain in a file", "two scenes",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_only_plain_arrays_of_the_file_itself_are_read(
-    originals: Path,
-    tmp_path: Path,
-    kind: Callable[[h5py.File, Path], None],
-    capsys: pytest.CaptureFixture[str],
+    originals: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
 ):
-    outside = tmp_path / "outside.nc"
-    path = tmp_path / "run.nc"
+    outside, path = tmp_path / "outside.nc", tmp_path / "run.nc"
     for copy in (outside, path):
         shutil.copy(originals / "run.nc", copy)
+    elsewhere = h5py.VirtualLayout((41, 12), "f8")
+    elsewhere[:] = h5py.VirtualSource(outside, "velocity", (41, 12))
+    links = {
+        "link to another file": h5py.ExternalLink(outside, "/velocity"),
+        "link": h5py.SoftLink("/displacement"),
+        "link to itself": h5py.SoftLink("/velocity"),
+    }
+    arrays: dict[str, dict[str, Any]] = {
+        "stored outside": {"external": [(str(outside), 0, h5py.h5f.UNLIMITED)]},
+        "huge": {"shape": (41, 10**12)},
+        "not written": {},
+        "packed": {"data": np.zeros((41, 12)), "compression": "gzip"},
+        "text": {"dtype": h5py.string_dtype()},
+    }
     with h5py.File(path, "r+") as file:
-        del file["velocity"]
-        kind(file, outside)
+        text = file.attrs["scene"]
+        scenes: dict[str, Any] = {
+            "longer chain": text.replace("grains = 12", "grains = 1000000"),
+            "chain in a file": text.replace("grains = 12", f'file = "{outside}"'),
+            "two scenes": np.array(["a", "b"], dtype=object),
+        }
+        if kind in scenes:
+            file.attrs["scene"] = scenes[kind]
+        else:
+            del file["velocity"]
+        if kind in links:
+            file["velocity"] = links[kind]
+        elif kind in arrays:
+            file.create_dataset("velocity", **{"shape": (41, 12), "dtype": "f8"} | arrays[kind])
+        elif kind == "virtual":
+            file.create_virtual_dataset("velocity", elsewhere)
+        elif kind == "group":
+            file.create_group("velocity")
     seal_anew(path)
     assert "seal" not in refused(path, capsys)
 
@@ -464,10 +360,9 @@ def changed_bytes(content: bytes, seed: int) -> bytes:
     return bytes(changed)
 
 
-@pytest.mark.parametrize("sealed", [True, False])
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(12))
 def test_no_changed_file_reaches_the_hdf5_library(
-    originals: Path, tmp_path: Path, seed: int, sealed: bool, monkeypatch: pytest.MonkeyPatch
+    originals: Path, tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
 ):
     """HDF5 hung on two of 756 such files, and only a kill stopped it."""
     content = (originals / "run.nc").read_bytes()
@@ -475,13 +370,10 @@ def test_no_changed_file_reaches_the_hdf5_library(
     reached = []
     monkeypatch.setattr(h5py, "File", lambda *words, **options: reached.append(words))
     path = tmp_path / "run.nc"
-    kinds = {
-        "changed": changed_bytes(content[:end], seed) + content[end:] * sealed,
-        "without its seal": content[: end + seed * sealed],
-        "with more at its end": content + bytes(seed + 1),
-    }
-    for changed in kinds.values():
-        path.write_bytes(changed)
+    changed = changed_bytes(content[:end], seed)
+    more = content + bytes(seed + 1)
+    for spoilt in (changed, changed + content[end:], content[: end + seed], more):
+        path.write_bytes(spoilt)
         with pytest.raises(InputError, match="save it anew") as caught:
             Trajectory.load(path)
         assert str(caught.value).startswith(f"{path}: is not a trajectory that lmpchain saved")
