@@ -17,7 +17,14 @@ from lmpchain.trajectory.between.derivatives import (
     SampledBlock,
 )
 from lmpchain.trajectory.between.fronts import Rules, fronts
-from lmpchain.trajectory.between.maxima import Window, estimate, events_of, levels_of, reduce
+from lmpchain.trajectory.between.maxima import (
+    Window,
+    estimate,
+    events_of,
+    levels_of,
+    reduce,
+    table_of,
+)
 
 
 def direct(function: Callable) -> Callable:
@@ -81,29 +88,34 @@ def path_of(values: np.ndarray, kind: int, h: float) -> np.ndarray:
     return path
 
 
-def body_of(values: np.ndarray, h: float) -> tuple[SampledBlock, np.ndarray, np.ndarray]:
-    """Return samples, number and derivatives of one grain, given u, v, a, j and the error of a."""
-    path = path_of(values, hermite.VELOCITY, h)
-    u, v = values[:2, :, None]
-    contacts = np.array([np.zeros(2), np.zeros(2), np.ones(2)])
-    block = block_of(u, v, [STILL, 0, STILL], contacts, np.ones(1), 1.5, False, h)
-    return block, np.array([1]), np.ascontiguousarray(path[None, 2:5])
+def bodies_of(values: np.ndarray, h: float) -> tuple[SampledBlock, np.ndarray, np.ndarray]:
+    """Return samples, numbers and derivatives of grains, given u, v, a, j and the error of a."""
+    count = len(values)
+    u, v = values[:, :2].transpose(1, 2, 0)
+    contacts = np.array([[0.0], [0.0], [1.0]]) * np.ones(count + 1)
+    columns = [STILL, *range(count), STILL]
+    block = block_of(u, v, columns, contacts, np.ones(count), 1.5, False, h)
+    paths = np.array([path_of(each, hermite.VELOCITY, h) for each in values])
+    return block, np.arange(1, count + 1), np.ascontiguousarray(paths[:, 2:5])
 
 
 def followed(
-    values: np.ndarray, kind: int, h: float, ceiling: np.ndarray | None, level: float
+    values: np.ndarray, kind: int, h: float, ceiling: np.ndarray | None, level: Any
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the largest sizes, the latest maximum and the events of one body."""
-    block, _, derived = body_of(values, h)
+    """Return the largest sizes, the latest maxima and the events of one body, or of G bodies.
+
+    The values are (5, T) or (G, 5, T), and the level is a number or (G,).
+    """
+    block, grains, derived = bodies_of(values.reshape(-1, *values.shape[-2:]), h)
     limits = np.zeros((1, 0)) if ceiling is None else np.array(ceiling, float)[None]
     raised = kind == hermite.RAISED
-    largest = np.full((3, 1), -np.inf) if raised else np.zeros((3, 1))
+    largest = np.full((3, grains.size), -np.inf if raised else 0.0)
     sizes = [np.zeros((3, 0))] * 3
     sizes[kind] = largest
-    latest = events_of(np.zeros(0)) if raised else levels_of(np.array([level]))
-    table = np.array([[1, 0, -2, kind, 0]])
-    window = Window(0, 0, values.shape[1] - 1)
+    latest = events_of(np.zeros(0)) if raised else levels_of(np.atleast_1d(level))
+    window = Window(0, 0, values.shape[-1] - 1)
     log = events_of(np.zeros(0))
+    table = table_of(grains, [kind], [])
     events = reduce(block, table, derived, limits, window, sizes, kind, latest, log)
     return largest, latest, events
 
@@ -132,14 +144,31 @@ def front_among(
     width: bool = True,
 ) -> np.ndarray:
     """Return the time, height and width of the front and their errors, (6,)."""
-    sampled = np.abs(values[1 if kind == hermite.VELOCITY else 0])
-    level = fraction / 2 * max(sampled.max() - known, 0.0)
-    largest, latest, events = followed(values, kind, h, ceiling, level)
-    rules = Rules(fraction, known, certain, frequency, h, h * (values.shape[1] - 1), kind, width)
-    motion = body_of(values, h)
-    maxima = (events, latest, largest, sampled[:1], rules)
-    front: np.ndarray = fronts(*motion, *maxima)[0]
+    more = known, certain, frequency, ceiling, width
+    front: np.ndarray = fronts_among(values[None], kind, h, fraction, *more)[0]
     return front
+
+
+def fronts_among(
+    values: np.ndarray,
+    kind: int,
+    h: float,
+    fraction: float,
+    known: float = 0.0,
+    certain: float = 0.0,
+    frequency: float = 1.0,
+    ceiling: np.ndarray | None = None,
+    width: bool = True,
+) -> np.ndarray:
+    """Return the time, height and width of the fronts of G bodies and their errors, (G, 6)."""
+    sampled = np.abs(values[:, kind])
+    levels = fraction / 2 * np.maximum(sampled.max(1) - known, 0.0)
+    largest, latest, events = followed(values, kind, h, ceiling, levels)
+    duration = h * (values.shape[2] - 1)
+    rules = Rules(fraction, known, certain, frequency, h, duration, kind, width)
+    maxima = (events, latest, largest, sampled[:, 0].copy(), rules)
+    found: np.ndarray = fronts(*bodies_of(values, h), *maxima)
+    return found
 
 
 def block_of(
