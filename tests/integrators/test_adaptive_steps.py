@@ -174,10 +174,7 @@ def adapted_3_2() -> tuple[list[Any], np.ndarray, list[int]]:
 def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray, list[int]]:
     """Return all steps, the states between them, and the number of states before each sample."""
     motion = motion_of(scene)
-    x = None
-    v = None
-    x = motion.x
-    v = motion.v
+    x, v = motion.x, motion.v
     t = WIDE(0)
     longest = scene.duration / LOOKS / each
     omega = scene.highest_frequency
@@ -217,6 +214,22 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
     return steps, np.array(states), made
 
 
+def native(scene: Scene, method: Any, each: int, most: int) -> tuple[int, np.ndarray]:
+    """Return the number of steps, and all samples (2, LOOKS+1, N) but the first one."""
+    schedule = Steps(each, 1, scene.duration / LOOKS / each, True)
+    stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
+    fields = np.zeros((2, 1, LOOKS + 1, GRAINS))
+    while stepper.sample < LOOKS:
+        stepper.fill(*fields, 0, LOOKS, most)
+    return stepper.steps[0], fields[:, 0, 1:]
+
+
+def distance(fields: np.ndarray, states: np.ndarray, made: list[int]) -> float:
+    """Return the largest distance of samples from those of plain NumPy, over the largest value."""
+    true = states[made[1:]].swapaxes(0, 1)
+    return float((np.abs(fields - true).max((1, 2)) / np.abs(true).max((1, 2))).max())
+
+
 @pytest.mark.parametrize("name", thinned(SCENES, 2))
 def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
     scene = SCENES[name]
@@ -224,51 +237,27 @@ def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
     # The formula states the power 3/2.
     shared = name in ("3/2", "formula")
     steps, states, made = adapted_3_2() if shared else adapted(scene, method, 6)
-    schedule = Steps(6, 1, scene.duration / LOOKS / 6, True)
-    stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
-    fields = np.zeros((2, 1, LOOKS + 1, GRAINS))
-    fields[:, 0, 0] = scene.initial()
-    while stepper.sample < LOOKS:
-        stepper.fill(*fields, 0, LOOKS, 3)
-    assert stepper.steps[0] == len(steps)
-    assert len(steps) > 6 * LOOKS + (name != "sine of grain 1")
-    true = states[made].swapaxes(0, 1)
-    off = np.abs(fields[:, 0] - true).max((1, 2)) / np.abs(true).max((1, 2))
-    assert off.max() < 1e-11
-    parts = adaptive_steps(scene, method, schedule.step * 1.01, LOOKS)
+    count, fields = native(scene, method, 6, 3)
+    assert count == len(steps) > 6 * LOOKS + (name != "sine of grain 1")
+    assert distance(fields, states, made) < 1e-11
+    parts = adaptive_steps(scene, method, scene.duration / LOOKS / 6 * 1.01, LOOKS)
     assert [part.size for part in parts] == np.diff(made).tolist()
-    assert np.concatenate(parts).astype(float) == pytest.approx(
-        np.array(steps, dtype=float), rel=1e-9
-    )
-    for part in parts:
-        assert part.sum() == pytest.approx(scene.duration / LOOKS, rel=1e-14)
+    assert np.concatenate(parts) == pytest.approx(np.array(steps, dtype=float), rel=1e-9)
+    sums = [part.sum() for part in parts]
+    assert sums == pytest.approx(np.full(LOOKS, scene.duration / LOOKS), rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "2.3 between walls",
-        "touching wall",
-        "loose grains",
-        "burst on grain 3",
-        "samples of the wall",
-        "sine of grain 1",
-    ],
-)
+OPENING = ["2.3 between walls", "touching wall", "loose grains"]
+FORCED = ["burst on grain 3", "samples of the wall", "sine of grain 1"]
+
+
+@pytest.mark.parametrize("name", [*OPENING, *FORCED])
 def test_dop853_shortens_its_steps_where_contacts_open_as_in_plain_numpy(name: str):
-    scene = SCENES[name]
     method = METHODS["dop853"]
-    steps, states, made = adapted(scene, method, 3)
-    schedule = Steps(3, 1, scene.duration / LOOKS / 3, True)
-    stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
-    fields = np.zeros((2, 1, LOOKS + 1, GRAINS))
-    fields[:, 0, 0] = scene.initial()
-    while stepper.sample < LOOKS:
-        stepper.fill(*fields, 0, LOOKS, 2)
-    assert stepper.steps[0] == len(steps)
-    true = states[made].swapaxes(0, 1)
-    off = np.abs(fields[:, 0] - true).max((1, 2)) / np.abs(true).max((1, 2))
-    assert off.max() < 1e-9
+    steps, states, made = adapted(SCENES[name], method, 3)
+    count, fields = native(SCENES[name], method, 3, 2)
+    assert count == len(steps)
+    assert distance(fields, states, made) < 1e-9
 
 
 @pytest.mark.parametrize("stride", [4, 3])

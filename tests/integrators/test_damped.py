@@ -72,7 +72,7 @@ def test_order_of_convergence(damping):
 
 def test_methods_have_their_orders_on_a_ground_that_changes_in_time():
     law = Law("k*u*(1 + 0.9*tanh(w*t - 3))", k=1e7, w=3e5)
-    scene = displaced(damped_chain(ground=law))
+    scene = displaced(damped_chain(ground=law, damping={"viscoelastic": 1e-7}))
 
     def end(integrator: str, count: int) -> np.ndarray:
         t = simulate(scene, engine=Native(integrator, step=scene.duration / count))
@@ -102,7 +102,8 @@ EXCITATIONS = {
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-11])
 def test_a_run_meets_its_tolerance_and_its_estimate(kind, tolerance):
     top = "wall" if kind == "wall" else "free"
-    chain = damped_chain(top=top, damping={"viscoelastic": 3e-8, "drag": 1e3})
+    drag = {"drag": 1e3} if kind != "hammer" else {}
+    chain = damped_chain(top=top, damping={"viscoelastic": 3e-8} | drag)
     scene = scene_of(chain, EXCITATIONS[kind], 6e-5, 8)
     t = simulate(scene, engine="native", tolerance=tolerance)
     true, doubt = reference(scene, 1e-4 * tolerance)

@@ -66,8 +66,10 @@ def answer(
     batch = ChainBatch([scene], force, initial)
     stepper = NativeStepper(batch, METHODS[method], schedule, {}, threads)
     u, v = np.zeros((2, 1, scene.samples, scene.chain.grains))
+    made = 0
     while stepper.sample < scene.samples - 1:
-        stepper.fill(u, v, 0, scene.samples - 1, 3 if steps < 50 else 777)
+        made += stepper.fill(u, v, 0, scene.samples - 1, 3 if steps < 50 else 777)
+    assert made == stepper.steps[0]
     kept = stepper.state()
     stepper.close()
     assert len(stepper._teams) == threads
@@ -174,36 +176,23 @@ def test_a_growing_window_uses_more_threads(method: str):
             assert np.array_equal(a, b)
 
 
+TONE = {"amplitude": 1e-8, "frequency": 3000.0}
+PUSH = {"amplitude": 1e-3, "grain": PUSHED, "pushed": True}
+LASTING: list[dict[str, Any]] = [
+    TONE,
+    TONE | {"cycles": 5, "grain": 0},
+    {"times": [0, 0.01, 0.02, 0.04], "displacement": [0, 2e-8, 1e-8, 0]},
+    PUSH | {"duration": 3e-4, "shape": "half-sine"},
+]
+
+
 @pytest.mark.parametrize(
-    "excitation",
-    [
-        pytest.param({"amplitude": 1e-8, "frequency": 3000.0}, marks=pytest.mark.slow),
-        pytest.param({"amplitude": 1e-8, "frequency": 3000.0, "grain": 0}, marks=pytest.mark.soak),
-        pytest.param(
-            {"times": [0, 0.01, 0.02, 0.04], "displacement": [0, 2e-8, 1e-8, 0]},
-            marks=pytest.mark.soak,
-        ),
-        pytest.param(
-            {"amplitude": 1e-8, "frequency": 3000.0, "cycles": 5, "grain": 0},
-            marks=pytest.mark.soak,
-        ),
-        pytest.param(
-            {"amplitude": 1e-3, "frequency": 3e3, "grain": PUSHED, "pushed": True},
-            marks=pytest.mark.soak,
-        ),
-        pytest.param(
-            {
-                "amplitude": 1e-3,
-                "duration": 3e-4,
-                "shape": "half-sine",
-                "grain": PUSHED,
-                "pushed": True,
-            },
-            marks=pytest.mark.soak,
-        ),
-    ],
+    "number",
+    [pytest.param(0, marks=pytest.mark.slow)]
+    + [pytest.param(number, marks=pytest.mark.soak) for number in (1, 2, 3)],
 )
-def test_a_lasting_forcing(excitation: dict[str, Any]):
+def test_a_lasting_forcing(number: int):
+    excitation = LASTING[number]
     scene = acted(**excitation)
     for method, adaptive in (("verlet", False), ("rkn4", True)):
         steps = int(np.ceil(scene.chain.band_edge * scene.duration / 2))
