@@ -438,8 +438,8 @@ def test_grains_that_move_by_less_than_a_digit_of_their_height(tmp_path: Path, a
     push = Force(grain=4, shape="half-sine", amplitude=amplitude, duration=5e-7)
     scene = Scene(chain=chain, excitation=push, duration=1e-6, samples=41)
     write_deck(scene, tmp_path, step=1.25e-9)
-    lmp(tmp_path)
-    u = Trajectory.from_dump(tmp_path / "column.lammpstrj", scene).displacement[:, 3]
+    lmp(tmp_path, "-var", "dump", "small.dump.gz")
+    u = Trajectory.from_dump(tmp_path / "small.dump.gz", scene).displacement[:, 3]
     phase = np.pi * scene.time / 5e-7
     length = amplitude / chain.masses[3] * (5e-7 / np.pi) ** 2
     alone = length * np.where(phase < np.pi, phase - np.sin(phase), 2 * phase - np.pi)

@@ -158,9 +158,10 @@ class BatchArrays(NamedTuple):
     scale : (R, 2) array
         Largest displacement, m, and largest speed, m/s, of the excitation.
     units : (R, 2) array
-        Overlap at rest of the contact below grain 1, or above it if there is none below, m; and
-        this overlap times the frequency sqrt(stiffness / mass) of grain 1, m/s, which is 0 in a
-        sonic vacuum.
+        Length of the first compressed contact below grain 1, m, or of the contact above grain 1 if
+        there is none below. The length of a power law is the overlap at rest. The second number is
+        this length times the frequency sqrt(stiffness / mass) of the contact with the mass of
+        grain 1, m/s. Both are 0 in a sonic vacuum.
     allowed : (R,) array
         Upper bound on twice the kinetic energy, J. The bound exists because contacts never store
         less energy than at rest.
