@@ -273,7 +273,9 @@ def test_samples_between_steps_are_on_a_polynomial_of_degree_7(name: str, stride
     schedule = Steps(steps, stride, stride * interval / steps, True, dense=dense)
     stepper = NativeStepper(ChainBatch([scene]), RKN6, schedule, {})
     fields = np.full((2, 1, 4 * LOOKS + 1, GRAINS), np.nan)
-    stepper.fill(*fields, 0, 4 * LOOKS, 2**62)
+    # Both strides land on sample 12, where the next block begins.
+    stepper.fill(*fields[:, :, :13], 0, 12, 2**62)
+    stepper.fill(*fields[:, :, 13:], 13, 4 * LOOKS, 2**62)
     fine = scene.replace(samples=4 * LOOKS + 1)
     each = NativeStepper(ChainBatch([fine]), RKN6, Steps(40, 1, interval / 40, True), {})
     true = np.zeros((2, 1, 4 * LOOKS + 1, GRAINS))

@@ -130,27 +130,6 @@ def test_pieces_and_threads_do_not_change_the_bits():
         assert all(np.array_equal(field, parts[number]) for parts in shared)
 
 
-def test_grains_outside_the_window_are_at_rest_in_every_sample():
-    """Rows of short chains contain arbitrary numbers before, so that all grains are written."""
-    chain = Chain(grains=300, diameter=1e-3, gravity=0.0, top_load=1e-3)
-    scene = scene_of(chain, Impulse(velocity=1e-4, grain=150), 8 / chain.band_edge, 17)
-    runs = []
-    for schedule in (
-        Steps(8, 8, scene.duration / 16, True, dense=1),
-        Steps(1, 1, scene.duration / 16, True),
-    ):
-        stepper = NativeStepper(ChainBatch([scene]), METHODS["rkn6"], schedule, {})
-        fields = np.full((2, 1, 17, 300), np.nan)
-        stepper.fill(*fields, 0, 16, 2**62)
-        first, last = (stepper.watched[name][0] - PAD for name in ("first", "last"))
-        assert 0 < first < 145 < 155 < last < 300
-        assert not fields[:, :, 1:, :first].any()
-        assert not fields[:, :, 1:, last:].any()
-        runs.append(fields[:, 0, 1:])
-    scale = np.abs(runs[1]).max((1, 2))
-    assert (np.abs(runs[0] - runs[1]).max((1, 2)) < 1e-5 * scale).all()
-
-
 def test_auxiliary_runs_are_compared_in_every_step():
     scene = scene_of(SPRING, Impulse(velocity=SPEED), 20 / OMEGA, 1001)
     candidate = Native("rkn6").propose(scene, 1e-6)

@@ -1,7 +1,6 @@
 """The stored state of a stepper, from which it continues."""
 
 import numpy as np
-import pytest
 from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Impulse
@@ -30,10 +29,3 @@ def test_a_run_that_broke_down_continues_with_the_same_bits():
     stepper(kept).fill(u[2], u[3], 0, 12, 2**30)
     assert np.array_equal(u[0], u[2], equal_nan=True)
     assert np.array_equal(u[1], u[3], equal_nan=True)
-
-
-def test_a_clock_of_nan_is_rejected():
-    kept = stepper({}).state()
-    kept["state"]["done"][0] = np.nan
-    with pytest.raises(ValueError, match="does not belong"):
-        stepper(kept)

@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 import mpmath
 import numba
 import numpy as np
 import pytest
-from helpers.example_scenes import smooth, stirred
+from helpers.example_scenes import smooth
 from numba import float64, types
 from numba.core.registry import cpu_target
 from numpy.typing import NDArray
 
-from lmpchain import Chain, Scene
+from lmpchain import Chain
 from lmpchain.integrators.batch import ChainBatch, series, weakest
 from lmpchain.integrators.kernels import contact_forces as forces
-from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
-from lmpchain.integrators.kernels import splitting as kernels
+from lmpchain.integrators.kernels import sample_loop, window
 from lmpchain.integrators.kernels.contact_forces import ROOTS, Form
 from lmpchain.integrators.kernels.layout import ALONE, STATE, Chains, Links
 from lmpchain.integrators.kernels.openings import Near, _find_nearness, _score
-from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.stepper import NativeStepper
-from lmpchain.integrators.steps import Steps
 
 Array = NDArray[np.float64]
 EPSILON = np.finfo(float).eps
@@ -166,50 +161,6 @@ def test_kernels_depend_only_on_their_folder(path: Path):
         r"^\s*from (\.\.\S*|lmpchain\S*) import", path.read_text(encoding="utf-8"), re.MULTILINE
     )
     assert set(above) <= {"...util.arrays", "...util.compilation"}
-
-
-@pytest.fixture(scope="module")
-def untiled() -> Any:
-    """Return the loop over steps compiled with tiles larger than any chain."""
-    names = vars(right_hand_side) | vars(kernels) | {"TILE": 2**60}
-
-    def again(function: Any) -> FunctionType:
-        return FunctionType(function.py_func.__code__, names)
-
-    for name in ("sweep", "_land", "_advance"):
-        names[name] = forces.inlined(again(names[name]))
-    march = sample_loop.sample_loop(names["_advance"], True)
-    made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT, _nrt=False)(march)
-    # This call compiles the kernel, so that its argument types are known.
-    NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], Steps(1, 1, 1e-6, False), {})
-    made.compile(kernels.march.signatures[0])
-    return made
-
-
-@pytest.mark.soak  # The compilation takes half a minute.
-def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: pytest.MonkeyPatch):
-    """A wave fills three tiles, with opening contacts and a wall that only touches."""
-    chain = Chain(grains=3 * kernels.TILE + 5, diameter=1e-3, top="wall")
-    scene = Scene(chain=chain, excitation=stirred(chain, 1e-2), duration=1e-5, samples=3)
-
-    def run() -> tuple[Array, Array]:
-        stepper = NativeStepper(
-            ChainBatch([scene], "exact"),
-            METHODS["rkn4"],
-            Steps(15, 1, scene.duration / 30, False),
-            {},
-        )
-        u, v = np.zeros((2, 1, 3, chain.grains))
-        assert stepper.fill(u, v, 0, 2, 2**30) == 30
-        return u, v
-
-    in_tiles = run()
-    monkeypatch.setattr(kernels, "march", untiled)
-    for one, other in zip(in_tiles, run(), strict=True):
-        assert np.array_equal(one, other)
-    u = in_tiles[0][0, 1:]
-    assert (u[:, :-1] != 0).all()
-    assert (chain.equilibrium_overlap + u[:, :-1] - u[:, 1:]).min() < 0
 
 
 # Without an FMA instruction each fma is a function call, and loops with calls are not vectorised.

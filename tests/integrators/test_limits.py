@@ -12,14 +12,12 @@ from lmpchain.integrators.steps import Steps
 
 
 def test_the_bound_on_the_kinetic_energy():
-    """The limit is 1.5 times the energy input; drives have no limit."""
+    """Drives have no limit; other scenes have 1.5 times the energy input."""
     chain = Chain(grains=5, diameter=1e-3)
-    struck = [
-        Scene(chain=chain, excitation=Impulse(velocity=v), duration=1e-4) for v in (1e-9, 1e-2)
-    ]
+    struck = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-4)
     slow = chain.masses.sum() * (1e-3 * chain.length_scale / chain.time_scale) ** 2
-    expected = [1.5 * chain.masses[0] * v**2 + slow for v in (1e-9, 1e-2)]
-    assert ChainBatch(struck).arrays.allowed == pytest.approx(expected, rel=1e-13)
+    expected = 1.5 * chain.masses[0] * 1e-4 + slow
+    assert ChainBatch([struck]).arrays.allowed == pytest.approx(expected, rel=1e-13)
     driven = Scene(chain=chain, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=1e-4)
     assert ChainBatch([driven]).arrays.allowed.tolist() == [UNBOUNDED]
 

@@ -28,6 +28,7 @@ ahead = right_hand_side.ahead.py_func
 kink = right_hand_side._kink.py_func
 cut = right_hand_side.cut.py_func
 passes = window.passes.py_func
+rest_ahead = window.rest_ahead.py_func
 end_of_step = sample_loop.end_of_step.py_func
 
 
@@ -95,6 +96,18 @@ def test_a_window_ends_at_the_end_of_the_chain():
     )
     widen(chain, 50)
     assert (chain.state.first, chain.state.last) == (PAD, width - PAD)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_grains_that_hardly_move_at_the_ends_of_a_window_are_set_to_rest(sign: int):
+    scale = np.array([2.0, 3.0])
+    x, v = sign * 0.9 * window.NOTHING * scale[:, None] * np.ones(30)
+    x[13] *= -1.2
+    v[16] *= -1.2
+    expected = np.array([x, v])
+    expected[:, [10, 11, 12, 17, 18, 19]] = 0.0
+    rest_ahead(windowed(10, 20, x=x, v=v, scale=scale))
+    assert np.array_equal([x, v], expected)
 
 
 def acting(end: float = np.inf, knots: Any = ()) -> Any:

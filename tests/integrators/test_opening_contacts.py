@@ -164,18 +164,3 @@ def test_steps_limited_by_samples_are_not_shortened_further_at_openings(
         False,
         candidate.steps.per_landing,
     )
-
-
-def test_steps_limited_by_the_tolerance_are_shortened_at_openings(
-    monkeypatch: pytest.MonkeyPatch,
-):
-    scene = paper("fig5 g", samples=101)
-    scene = scene.replace(excitation=scene.excitation.scaled(2.0))
-    springs = scene.replace(chain=scene.chain.replace(exponent=1.0))
-    engine = Native("rkn6")
-    monkeypatch.setattr(step_choice, "_pass_samples", lambda *_: None)
-    assert engine.propose(scene, 1e-2).steps.coarse_openings
-    assert not Native("rkn6").propose(scene, 1e-12).steps.coarse_openings
-    assert not Native("rkn6").propose(springs, 1e-2).steps.coarse_openings
-    assert not Native("verlet").propose(scene, 1e-2).steps.coarse_openings
-    assert not Native("rkn6", adaptive=False).propose(scene, 1e-2).steps.coarse_openings

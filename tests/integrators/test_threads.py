@@ -235,15 +235,6 @@ def test_whole_runs_and_resumed_runs(monkeypatch: pytest.MonkeyPatch):
         assert all(np.array_equal(end[name], ended[name]) for name in end)
 
 
-def test_short_chains_and_batches_are_not_split():
-    scene = noisy(2 * LEAST_SHARE - 1)
-    schedule = Steps(2, 1, scene.duration / 6, False)
-    for scenes, method in (([scene], "verlet"), ([noisy()] * 2, "verlet"), ([noisy()], "dop853")):
-        stepper = NativeStepper(ChainBatch(scenes), METHODS[method], schedule, {}, 2)
-        assert len(stepper._teams) == 1
-        stepper.close()
-
-
 def test_no_thread_waits_for_a_missing_thread(monkeypatch: pytest.MonkeyPatch):
     """Ctrl-C may arrive when some threads have begun and others have not."""
     scene = noisy()

@@ -76,23 +76,6 @@ def test_the_approach_of_a_contact_is_relative_to_both_bodies(rng):
 
 
 @pytest.mark.parametrize("tracked", ["velocity", "displacement"])
-def test_fronts_start_from_the_first_sample_of_their_field(rng: np.random.Generator, tracked: str):
-    scene = scene_of(CHAIN, Drive(grain=0, amplitude=1e-9, frequency=3e4), 2e-5, 9)
-    u, v = rng.normal(size=(2, 9, 4))
-    column = np.array([STILL, 0, 1, 2, 3, STILL])
-    grains = np.arange(1, 5)
-    known = np.ones(6, dtype=bool)
-    expected = np.abs((v if tracked == "velocity" else u)[0])
-    for whole in (False, True):
-        accumulator = Accumulator(scene, False, column, known, grains, (tracked,), tracked)
-        if whole:
-            accumulator.take_all(u, v, np.zeros(4))
-        else:
-            accumulator.take(0, u, v)
-        assert np.array_equal(accumulator.state["start"], expected)
-
-
-@pytest.mark.parametrize("tracked", ["velocity", "displacement"])
 @pytest.mark.parametrize("chain", [CHAIN, CHAIN.replace(damping={"drag": 10.0})])
 def test_swinging_grains_have_the_extremes_and_fronts_of_a_sine(chain: Chain, tracked: str):
     """Largest values, approaches, arrivals and widths are exact, however the samples are added."""
