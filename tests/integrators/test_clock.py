@@ -117,13 +117,3 @@ def test_a_step_that_fills_the_remaining_time_ends_exactly_on_the_sample(rng: np
         assert ends(Bodies(state), clock_of(length), left, left) == length
         assert ends(Bodies(state), clock_of(length), left, 0.5 * left) < 0.9 * length
         assert ends(Bodies(state), clock_of(length), 0.5 * left, left) < 0.9 * length
-
-
-@pytest.mark.parametrize("steps", [32, 33, 141, 1000])
-@pytest.mark.parametrize("ratio", [2, 4])
-def test_auxiliary_runs_of_many_steps_land_on_every_sample(steps: int, ratio: int):
-    schedule = Steps(steps, 1, 1e-9, True).longer(ratio)
-    assert schedule.stride == 1
-    assert schedule.step * schedule.per_landing == pytest.approx(steps * 1e-9, rel=1e-14)
-    assert schedule.step / 1e-9 == pytest.approx(ratio, rel=0.1)
-    assert Steps(3, 1, 1e-9, True).longer(ratio).stride == ratio

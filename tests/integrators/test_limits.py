@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from helpers.example_chains import CHAINS
 
 from lmpchain import Chain, Drive, Impulse, RunFailed, Scene
 from lmpchain.engines.native import Native
@@ -20,21 +19,6 @@ def test_the_bound_on_the_kinetic_energy():
     assert ChainBatch([struck]).arrays.allowed == pytest.approx(expected, rel=1e-13)
     driven = Scene(chain=chain, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=1e-4)
     assert ChainBatch([driven]).arrays.allowed.tolist() == [UNBOUNDED]
-
-
-@pytest.mark.parametrize("name", CHAINS)
-def test_the_largest_strain_is_that_of_the_bound_on_overlaps(name: str):
-    contacts = CHAINS[name].contacts
-    for energy in (0.0, 1e-15, 1e-6, np.inf):
-        strain = contacts.strain_bound(contacts.approach_bound(energy))
-        if not (contacts.pressed == contacts.exists).all():
-            assert strain == np.inf
-            continue
-        there = contacts.pressed
-        closer = (contacts.overlap_bound(energy) - contacts.overlap)[there] / contacts.overlap[
-            there
-        ]
-        assert strain == pytest.approx(1.05 * closer.max(), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize(("steps", "lost"), [(1, "answer"), (12, "companion"), (64, "nothing")])

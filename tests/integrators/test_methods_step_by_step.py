@@ -11,7 +11,7 @@ from helpers import plain_methods as plain
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, stirred
 from helpers.flying_grains import flying as flying_grains
-from helpers.flying_grains import unlike
+from helpers.flying_grains import forcings, unlike
 from helpers.plain_methods import WIDE, Motion
 
 from lmpchain import Chain, Drive, Force, Law, Profile, Scene
@@ -68,32 +68,13 @@ def flying(law: str) -> Scene:
 
 
 ACTED = pressed(**BETWEEN)
-DURATION = 12 / ACTED.band_edge
-FREQUENCY = 0.4 * ACTED.band_edge / (2 * np.pi)
-KNOTS = np.array([0.0, 0.21, 0.44, 0.76, 1.1]) * DURATION
-BUMP = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
+ACTS = forcings(ACTED, 12)
 HELD = float(ACTED.contacts.force.max())
-OVERLAP = float(ACTED.contacts.overlap.max())
-BURST = 0.4 * FREQUENCY * DURATION  # Number of cycles of a burst that ends within a step.
-ACTS = {
-    "sine of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY),
-    "burst of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY, cycles=BURST),
-    "samples of grain 1": Drive(times=KNOTS, displacement=OVERLAP * BUMP),
-    "sine of the wall": Drive(amplitude=OVERLAP, frequency=FREQUENCY, grain=0),
-    "burst of the wall": Drive(amplitude=OVERLAP, frequency=FREQUENCY, cycles=BURST, grain=0),
-    "samples of the wall": Drive(times=KNOTS, displacement=OVERLAP * BUMP, grain=0),
-    "sine on grain 3": Force(amplitude=HELD, frequency=FREQUENCY, grain=3),
-    "burst on grain 1": Force(amplitude=HELD, frequency=FREQUENCY, cycles=BURST, grain=1),
-    "half-sine on grain 7": Force(
-        shape="half-sine", amplitude=HELD, duration=0.43 * DURATION, grain=7
-    ),
-    "samples on grain 2": Force(times=KNOTS, force=HELD * BUMP, grain=2),
-}
 STEPS_EACH = 12  # Number of steps between samples.
 
 
 def acted(name: str) -> Scene:
-    return scene_of(ACTED, ACTS[name], DURATION, 5)
+    return scene_of(ACTED, ACTS[name], 12 / ACTED.band_edge, 5)
 
 
 def answer(
@@ -114,7 +95,7 @@ def kinks(scene: Scene, method: str) -> list[float]:
     if waveform is None or method == "verlet":
         return []
     if waveform.spline is not None:
-        return KNOTS.tolist() if method == "dop853" else []
+        return list(scene.excitation.times) if method == "dop853" else []
     return [waveform.end]
 
 
