@@ -132,21 +132,6 @@ def test_errors_follow_from_misfits_of_displacement_and_acceleration(kind: int):
             )
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_quick_bound_is_close_where_samples_are(kind: int):
-    """With 14 samples a period, the bound exceeds the largest value by 1 % at most."""
-    omega = 0.45 / H
-    t = H * np.arange(6)
-    phase = omega * t + 0.3
-    swing = [np.sin(phase + k * np.pi / 2) * omega**k for k in range(4)]
-    p = path_of(np.array([*swing, 0 * t]), kind, H)
-    for i in range(5):
-        exact = between(np.array([*swing, 0 * t]), i, kind)(DENSE)
-        top = np.abs(exact).max()
-        assert top <= p[hermite.REACH, i] + 1e-12 * abs(p[hermite.REACH, i])
-        assert p[hermite.REACH, i] <= top + 0.01 * omega ** (kind == hermite.VELOCITY)
-
-
 def test_factors_of_errors_agree_with_the_shape_of_a_misfit():
     assert SHAPE(0.5) == hermite.SHAPE.height
     assert np.abs(SHAPE.deriv()(DENSE)).max() == pytest.approx(
