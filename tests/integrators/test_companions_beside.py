@@ -16,26 +16,27 @@ CHAIN = column(30, top="wall")
 SCENES = [struck(CHAIN, speed, 6e-5, 25) for speed in (1e-3, 2e-2, 0.1)]
 
 
+# Method, whether steps are adaptive, and number of samples from one landing to the next.
+CASES = [
+    *(("rkn6", True, 1), ("rkn6", True, 12), ("rkn6", False, 12), ("rkn4", False, 1)),
+    *(("verlet", False, 1), ("dop853", True, 1), ("gear4", False, 1)),
+]
+
+
+def steps_of(name: str, adaptive: bool, landing: int, interval: float) -> Steps:
+    """Return the steps of the main run; methods of one stage have more steps."""
+    steps = landing * (9 if METHODS[name].evaluations == 1 else 3)
+    return Steps(steps, landing, landing * interval / steps, adaptive, dense=int(landing > 1))
+
+
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize(
-    ("name", "adaptive", "landing"),
-    [
-        ("rkn6", True, 1),
-        ("rkn6", True, 12),
-        ("rkn4", False, 1),
-        ("verlet", False, 1),
-        ("dop853", True, 1),
-        ("gear4", False, 1),
-    ],
-)
+@pytest.mark.parametrize(("name", "adaptive", "landing"), CASES)
 def test_auxiliary_runs_have_the_bits_of_separate_runs(
     name: str, adaptive: bool, landing: int, threads: int
 ):
     """The bits agree for pieces of a few steps, in a batch, and with threads."""
     method = METHODS[name]
-    steps = 9 * landing if method_of_one_stage(name) else 3 * landing
-    step = landing * SCENES[0].duration / 24 / steps
-    own = Steps(steps, landing, step, adaptive, dense=int(landing > 1))
+    own = steps_of(name, adaptive, landing, SCENES[0].sampling_interval)
     schedules = [own, own.longer(2), own.longer(4)]
     shape = len(SCENES), 25, CHAIN.grains
     alone = []
@@ -62,29 +63,12 @@ def test_auxiliary_runs_have_the_bits_of_separate_runs(
             assert np.array_equal(kept[key][number], state[key][0])
 
 
-def method_of_one_stage(name: str) -> bool:
-    return METHODS[name].evaluations == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "adaptive", "landing"),
-    [
-        ("rkn6", True, 1),
-        ("rkn6", True, 12),
-        ("rkn6", False, 12),
-        ("verlet", False, 1),
-        ("dop853", True, 1),
-        ("gear4", False, 1),
-    ],
-)
+@pytest.mark.parametrize(("name", "adaptive", "landing"), CASES)
 def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, landing: int):
     """No zeros are written ahead of the wave, nor after auxiliary runs that stop."""
     chain = column(300)
     scene = scene_of(chain, Impulse(velocity=1e-3, grain=150), 4e-6, 25)
-    steps = 9 * landing if method_of_one_stage(name) else 3 * landing
-    own = Steps(
-        steps, landing, landing * scene.duration / 24 / steps, adaptive, dense=int(landing > 1)
-    )
+    own = steps_of(name, adaptive, landing, scene.sampling_interval)
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], own, {}, 1, [own.longer(2)])
     fields = np.full((2, 1, 25, 300), np.nan)
     beside = np.full((2, 1, 1, 25, 300), np.nan)

@@ -37,25 +37,16 @@ JUMPS = {
     "interpolation": "linear",
 }
 LONG = Chain(grains=300, diameter=1e-3, top_load=0.02, damping={"viscoelastic": 1e-8, "drag": 1e3})
+FIRST, SECOND = (Impulse(velocity=SPEED, grain=grain) for grain in (1, 2))
+ROOTS = Law("k*max(o, 0)**p", p=[1.5] * (GRAINS - 1))
+STOPS = Law("k*u + b*u**3", k=1e5, b=1e21)
 SCENES = {
-    "strike": (CHAIN, Impulse(velocity=SPEED, grain=2)),
-    "one viscosity": (
-        unlike(GRAINS, damping={"viscoelastic": 2e-7}, **ENDS),
-        Impulse(velocity=SPEED),
-    ),
-    "touching wall": (CHAIN.replace(top_load=0.0, top="wall"), Impulse(velocity=SPEED)),
-    "loose grains": (
-        CHAIN.replace(gravity=0.0, load_grain=3, top="free"),
-        Impulse(velocity=SPEED),
-    ),
-    "formula": (
-        CHAIN.replace(law=Law("k*max(o, 0)**p", p=[1.5] * (GRAINS - 1))),
-        Drive(**TONE, grain=0),
-    ),
-    "ground": (
-        CHAIN.replace(ground=Law("k*u + b*u**3", k=1e5, b=1e21)),
-        Impulse(velocity=SPEED, grain=2),
-    ),
+    "strike": (CHAIN, SECOND),
+    "one viscosity": (unlike(GRAINS, damping={"viscoelastic": 2e-7}, **ENDS), FIRST),
+    "touching wall": (CHAIN.replace(top_load=0.0), FIRST),
+    "loose grains": (CHAIN.replace(gravity=0.0, load_grain=3, top="free"), FIRST),
+    "formula": (CHAIN.replace(law=ROOTS), Drive(**TONE, grain=0)),
+    "ground": (CHAIN.replace(ground=STOPS), SECOND),
     "long": (LONG, Impulse(velocity=1e-4, grain=150)),
     "force": (CHAIN, Force(amplitude=1e-3, frequency=0.05 * EDGE, grain=3)),
     "grain 1": (CHAIN, Drive(**TONE)),
