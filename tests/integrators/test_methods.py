@@ -144,38 +144,37 @@ def test_the_total_counts_steps_no_longer_than_those_between_landings(stride: in
         assert schedule.total(samples) == expected
 
 
-def test_an_auxiliary_run_of_twice_the_step_lands_on_every_second_sample():
-    own = Steps(3, 1, 1e-9, True, coarse_openings=True)
-    longer = own.longer(2)
-    assert longer == Steps(3, 2, 2e-9, True, 2, True)
-    shorter = own.longer(1.5)
-    assert shorter.step == pytest.approx(1.5e-9, rel=1e-15)
-    assert shorter == Steps(2, 1, shorter.step, True, 1.5, True)
-    assert Steps(4, 1, 1e-9, True).longer(2) == Steps(2, 1, 2e-9, True, 2)
-    assert Steps(2, 1, 1e-9, True).longer(1.25) == Steps(8, 5, 1.25e-9, True, 1.25)
+FEW = Steps(3, 1, 1e-9, True, coarse_openings=True)
+DENSE = [
+    *((3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2)),
+    *((16, 8, 4, 2), (3, 2, 2, 1), (3, 3, 2, 2)),
+]
 
 
-def test_an_auxiliary_run_of_many_steps_lands_on_all_samples():
-    longer = Steps(MANY_STEPS, 1, 1e-9, True).longer(2)
-    assert (longer.stride, longer.per_landing, longer.ratio) == (1, MANY_STEPS // 2, 2)
-    assert longer.step == pytest.approx(2e-9, rel=1e-15)
-    assert Steps(MANY_STEPS - 1, 1, 1e-9, True).longer(2).stride == 2
-    odd = Steps(33, 1, 1e-9, True).longer(2)
-    assert (odd.per_landing, odd.stride) == (17, 1)
-    assert odd.step == pytest.approx(33e-9 / 17, rel=1e-15)
+def test_steps_of_auxiliary_runs():
+    """Few steps land on fewer samples, many steps on all samples that the main run lands on.
 
-
-def test_an_auxiliary_run_of_a_dense_run_is_compared_at_least_once_a_step():
-    """Steps land on every fourth, every second or every sample."""
-    for steps, stride, ratio, dense in (
-        (3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2),
-        (16, 8, 4, 2), (3, 2, 2, 1), (3, 3, 2, 2),
-    ):  # fmt: skip
-        longer = Steps(steps, stride, 1e-9, True, dense=1).longer(ratio)
+    With interpolation every fourth, every second or every sample is compared, once a step or more.
+    """
+    many = MANY_STEPS
+    odd = Steps(many // 2 + 1, 1, (many + 1) * 1e-9 / (many // 2 + 1), True, 2)
+    cases: list[tuple[Steps, float, Steps]] = [
+        (FEW, 2, Steps(3, 2, 2e-9, True, 2, True)),
+        (FEW, 1.5, Steps(2, 1, 1.5e-9, True, 1.5, True)),
+        (Steps(4, 1, 1e-9, True), 2, Steps(2, 1, 2e-9, True, 2)),
+        (Steps(2, 1, 1e-9, True), 1.25, Steps(8, 5, 1.25e-9, True, 1.25)),
+        (Steps(many - 1, 1, 1e-9, True), 2, Steps(many - 1, 2, 2e-9, True, 2)),
+        (Steps(many, 1, 1e-9, True), 2, Steps(many // 2, 1, 2e-9, True, 2)),
+        (Steps(many + 1, 1, 1e-9, True), 2, odd),
+    ]
+    for steps, stride, ratio, dense in DENSE:
         fewer = -(-steps // ratio)
-        assert (longer.per_landing, longer.stride, longer.dense) == (fewer, stride, dense)
-        assert longer.step == pytest.approx(1e-9 * steps / fewer, rel=1e-15)
-        assert longer.ratio == ratio
+        longer = Steps(fewer, stride, 1e-9 * steps / fewer, True, ratio, dense=dense)
+        cases.append((Steps(steps, stride, 1e-9, True, dense=1), ratio, longer))
+    for own, ratio, longer in cases:
+        found = own.longer(ratio)
+        assert found == longer._replace(step=found.step)
+        assert found.step == pytest.approx(longer.step, rel=1e-15)
 
 
 def test_half_the_step_doubles_the_number_of_steps():

@@ -2,6 +2,7 @@
 
 import math
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,17 +17,23 @@ from helpers.between_samples import (
     slope,
     value,
 )
+from helpers.example_scenes import struck
+from helpers.flying_grains import unlike
 from helpers.thinned import thinned
 from numpy.polynomial import Polynomial
 from scipy.interpolate import KroghInterpolator
 
+from lmpchain import Law
 from lmpchain.trajectory.between import hermite, maxima
 from lmpchain.trajectory.between.derivatives import (
     OPENINGS,
     STILL,
     ImposedSamples,
+    SampledBlock,
     by_body,
     derive,
+    imposed_on,
+    law_of,
 )
 
 highest = direct(hermite.highest)
@@ -130,6 +137,21 @@ def test_errors_follow_from_misfits_of_displacement_and_acceleration(kind: int):
             assert np.abs(exact(DENSE)).max() <= p[hermite.REACH, i] + 1e-12 * abs(
                 p[hermite.REACH, i]
             )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_quick_bound_is_close_where_samples_are(kind: int):
+    """With 14 samples a period, the bound exceeds the largest value by 1 % at most."""
+    omega = 0.45 / H
+    t = H * np.arange(6)
+    phase = omega * t + 0.3
+    swing = [np.sin(phase + k * np.pi / 2) * omega**k for k in range(4)]
+    p = path_of(np.array([*swing, 0 * t]), kind, H)
+    for i in range(5):
+        exact = between(np.array([*swing, 0 * t]), i, kind)(DENSE)
+        top = np.abs(exact).max()
+        assert top <= p[hermite.REACH, i] + 1e-12 * abs(p[hermite.REACH, i])
+        assert p[hermite.REACH, i] <= top + 0.01 * omega ** (kind == hermite.VELOCITY)
 
 
 def test_factors_of_errors_agree_with_the_shape_of_a_misfit():
@@ -275,6 +297,12 @@ def chain_contacts(exponent: float, pressed: list[bool], exists: list[bool]) -> 
     return np.array([constant, constant * overlap**exponent, overlap])
 
 
+CHAINS: list[dict[str, Any]] = [
+    {"bottom": "wall"},
+    {"top": "wall", "top_load": 0.0, "exponent": 2.3},
+    {"gravity": 0.0, "load_grain": 3},
+    {"law": Law("k*max(o, 0)**2 + b*o**3", k=[1e9, 2e9, 3e9, 4e9], b=1e15)},
+]
 ENDS = {
     "walls": ([True] * 6, [True] * 6),
     "a free top": ([False, *[True] * 5], [False, *[True] * 5]),
@@ -319,6 +347,29 @@ def test_accelerations_and_jerks_agree_with_the_forces(
             )
     expected = np.maximum(unsure[:, :-1], unsure[:, 1:]) * inverse_mass
     np.testing.assert_allclose(doubt, expected.T, rtol=1e-11, atol=0)
+
+
+@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize("options", CHAINS, ids=str)
+def test_chains_have_the_forces_of_their_contacts(
+    rng: np.random.Generator, options: dict[str, Any], linear: bool
+):
+    chain = unlike(5, **options)
+    size = chain.contacts.overlap.max() or 1e-7
+    u, v = size * rng.normal(size=(2, 6, 5))
+    scene = struck(chain, 1e-3, 5 * H, 6)
+    columns = np.array([STILL, *range(5), STILL])
+    nothing = imposed_on(scene, H, 0, 6)
+    lawful = np.ones(7, bool)
+    law = law_of(chain, linear)
+    block = SampledBlock(by_body(u), by_body(v), columns, lawful, H, law, nothing)
+    found = derive(block, np.arange(1, 6))[:, 0].T
+    contacts = chain.contacts
+    closer = contacts.closer(u)
+    change = contacts.stiffness * closer if linear else contacts.force_change(closer)
+    expected = -np.diff(change, axis=1) / chain.masses
+    expected[:, chain.movable :] = 0.0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
