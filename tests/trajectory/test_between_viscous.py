@@ -149,12 +149,12 @@ def test_swinging_grains_have_the_extremes_and_fronts_of_a_sine(chain: Chain, tr
     [
         (Impulse(velocity=1.0), {}, 0, 0),
         (Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1.13e-5), {}, 3, 0),
-        (Force(grain=2, times=TABLE, force=[0.0, 1e-3, 2e-3, -1e-3, 1e-3]), {}, 2, 0),
+        (Force(grain=2, times=TABLE, force=[0.0, 1e-9, 2e-9, -1e-9, 1e-9]), {}, 2, 0),
         (Drive(amplitude=1e-8, frequency=3e4), {}, 1, 0),
         (Drive(grain=0, amplitude=1e-8, frequency=3e4, cycles=0.4), {"top": "wall"}, 0, 0),
         (Drive(end="bottom", amplitude=1e-8, frequency=3e4), {"bottom": "wall"}, 0, 6),
         (Drive(end="bottom", amplitude=1e-8, frequency=3e4), {"bottom": "fixed"}, 5, 0),
-        (Drive(times=TABLE, displacement=[0.0, 1e-9, 3e-9, 2e-9, 0.0]), {}, 1, 0),
+        (Drive(times=TABLE, displacement=[0.0, 1e-15, 3e-15, 2e-15, 0.0]), {}, 1, 0),
     ],
 )
 def test_imposed_motion_is_that_of_the_excitation(

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...util.arrays import Array
 from .derivatives import SampledBlock, compiled, compiled_measure
-from .hermite import ERROR, FLAT, PLACES, C, bound, fill_polynomial, roots, scratch, value
+from .hermite import ERROR, FLAT, PLACES, C, bound, fill_polynomial, roots, scratch
 from .maxima import EVENT, HIDDEN, HIGH, LOW, MAXIMUM, NONE, SHOULDER, VALUE, fill_path
 
 SMALLEST = sys.float_info.min  # Smallest maximum with full precision.
@@ -288,26 +288,6 @@ def _last_as_large(p, front, rules, work):
 
 
 @compiled
-def _still_as_large(p, front, late, rules, work):
-    """Return whether the size at this distance in time from a maximum is as large within the error.
-
-    The times `late` before and after the maximum are tested. A time in another interval does not
-    count.
-    """
-    when, height, off = front
-    h = rules.step
-    i = min(int(when / h), p.shape[1] - 2)
-    count = fill_polynomial(p, rules.kind, h, i, work)
-    level = abs(height) - 2.0 * (off + rules.error)
-    sign = math.copysign(1.0, height)
-    for side in range(-1, 2, 2):
-        s = (when + side * late) / h - i
-        if 0.0 <= s <= 1.0 and sign * value(work[C], count, s) > level:
-            return True
-    return False
-
-
-@compiled
 def _width(p, front, apart, rules, work):
     """Return the full width at half maximum of a front, and its error, s; NaN if unknown."""
     _, height, off = front
@@ -345,9 +325,7 @@ def _fill_fronts(block, grains, derived, events, latest, largest, start, rules, 
         bound(p, rules.kind, block.h)
         event = of_grain[at]
         front = (event.when, event.height, event.off)
-        late = _spread(event, rules)
-        if not _still_as_large(p, front, late, rules, work):
-            late = min(late, _last_as_large(p, front, rules, work))
+        late = min(_spread(event, rules), _last_as_large(p, front, rules, work))
         late, apart = _doubt_choice(of_grain, at, late, largest[g], rules)
         out[g, 0] = event.when
         out[g, 1] = event.height
