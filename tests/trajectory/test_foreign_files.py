@@ -15,7 +15,6 @@ import h5py
 import numcodecs
 import numpy as np
 import pytest
-from helpers.child_processes import finish
 from helpers.example_chains import column
 from helpers.example_scenes import struck
 from helpers.faults import faults
@@ -380,15 +379,6 @@ def test_no_changed_file_reaches_the_hdf5_library(
         assert "\n" not in str(caught.value)
         assert origin(path)["command"] == "not recorded"
     assert not reached
-
-
-def test_a_damaged_file_is_rejected_in_one_line(originals: Path, tmp_path: Path):
-    """The library h5netcdf used to print a traceback after the message."""
-    content = (originals / "run.nc").read_bytes()
-    (tmp_path / "run.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + content[8 : len(content) // 2])
-    code, said = finish("fit", tmp_path / "run.nc")
-    assert code == 2
-    assert said.count("\n") == 1, said
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])
