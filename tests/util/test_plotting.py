@@ -15,12 +15,16 @@ from lmpchain.util.plotting import (
     SHADES,
     SHAPES,
     axes_in_units,
+    chart,
     colour_bar,
+    draw_map,
     edges,
     figure,
+    finish,
     label_ends,
     legend,
     look_of,
+    mark_decades,
     panels,
     save,
     set_title,
@@ -338,7 +342,8 @@ def test_zero_is_drawn_below_all_rounding_errors():
 
 def test_names_at_the_ends_of_curves_do_not_overlap():
     ax = figure(WIDE, 3.0).subplots()
-    ax.set(yscale="log", ylim=(1.0, 100.0))
+    ax.margins(y=0)
+    ax.semilogy([0.0, 1.0], [1.0, 100.0])
     label_ends(ax, [(10.0, "b", "blue"), (60.0, "d", "red"), (10.0, "c", "green"), (2.0, "a", "k")])
     assert [text.get_text() for text in ax.texts] == ["a", "b", "c", "d"]
     middle = 0.5 + plotting.LABEL_HEIGHT
@@ -348,6 +353,33 @@ def test_names_at_the_ends_of_curves_do_not_overlap():
         assert text.xy == (1.0, height)
         assert text.xycoords == ("axes fraction", "data")
     assert [text.get_color() for text in ax.texts] == ["k", "blue", "green", "red"]
+
+
+def test_charts_have_a_title_a_legend_and_plain_numbers_at_decades():
+    ax = chart(figure(WIDE, 3.0).subplots(), "number", "share", "x")
+    ax.plot([1.0, 100.0], [0.0, 1.0], label="kept")
+    mark_decades(ax)
+    assert finish(ax, "A title", loc="lower left") is ax
+    assert ax.get_title("left") == "A title"
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["kept"]
+    assert ax.get_legend()._loc == 3
+    ticks = [tick for tick in ax.get_xticks() if 1 <= tick <= 100]
+    assert ticks == pytest.approx([1, 2, 5, 10, 20, 50, 100], rel=1e-12)
+    formatter = ax.xaxis.get_major_formatter()
+    assert [formatter(tick) for tick in ticks] == ["1", "2", "5", "10", "20", "50", "100"]
+    assert not any(label.get_text() for label in ax.get_xticklabels(minor=True))
+    assert not finish(chart(None, "a", "b")).get_title("left")
+
+
+def test_cells_of_a_map_surround_their_centres():
+    ax = figure(WIDE, 3.0).subplots()
+    values = np.arange(6.0).reshape(2, 3)
+    draw_map(ax, np.array([0.0, 1.0, 2.0]), np.array([1.0, 3.0]), values, "force [N]", vmax=9.0)
+    (mesh,) = ax.images
+    assert mesh.get_extent() == pytest.approx([-0.5, 2.5, 0.0, 4.0], rel=1e-12)
+    assert np.array_equal(mesh.get_array(), values)
+    assert mesh.get_clim() == (0.0, 9.0)
+    assert ax.figure.axes[1].get_ylabel() == "force"
 
 
 def test_several_panels_have_letters():

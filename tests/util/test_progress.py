@@ -1,6 +1,7 @@
 """Progress bars, short forms of values, and announcements and timing of compilation."""
 
 import base64
+import gc
 import importlib.util
 import inspect
 import io
@@ -125,6 +126,8 @@ class Few(Shown):
         (np.array([1 / 3, 1.0]), "[0.33333 1.     ]"),
         (np.array([[1.5, np.nan], [-2.0, np.inf]]), "(2, 2) from -2 to 1.5"),
         (np.array([-0.0] * 5), "(5,) from 0 to 0"),
+        (np.array([np.nan, np.inf]), "[nan inf]"),
+        (np.full((9, 9), np.nan), "(9, 9)"),
         (np.array([3 + 4j] * 5), "(5,) from 5 to 5"),
         ([1, 2, 3, 4], "[1, 2, 3, 4]"),
         ([1] * 5, "5 values"),
@@ -234,6 +237,48 @@ def test_a_long_compilation_has_a_bar_on_a_terminal(
     del sys.modules["toy_with_bar"]
 
 
+def test_the_bar_of_nested_compilations_follows_the_clock(monkeypatch: pytest.MonkeyPatch):
+    """Garbage is collected less often meanwhile; a function without a job changes no bar."""
+    bars: list[Tqdm] = []
+    monkeypatch.setattr(
+        "tqdm.auto.tqdm", lambda **options: bars.append(Tqdm(**options)) or bars[-1]
+    )
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", terminal)
+    now = SimpleNamespace(s=10.0)
+    clocks = SimpleNamespace(perf_counter=lambda: now.s, thread_time=lambda: 0.0)
+    monkeypatch.setattr(compilation, "time", clocks)
+    collected = gc.get_threshold()
+
+    def at(second: float, change: Any, function: Any) -> None:
+        now.s = second
+        change("numba:compile", {"dispatcher": SimpleNamespace(py_func=function)})
+
+    def long() -> None:
+        pass
+
+    def other() -> None:
+        pass
+
+    compilation.compiled_once("what is long", 30)(long)
+    for end in (50.0, 25.0):
+        at(9.0, start_event, other)
+        at(9.5, end_event, other)
+        at(10.0, start_event, long)
+        assert gc.get_threshold() == (max(500_000, collected[0]), *collected[1:])
+        at(11.0, start_event, long)
+        at(12.0, end_event, long)
+        at(13.0, start_event, other)
+        at(14.0, end_event, other)
+        at(end, end_event, long)
+        assert gc.get_threshold() == collected
+    assert terminal.getvalue() == "compiling what is long, once for this machine: about 30 s\n"
+    for bar, last in zip(bars, (26.0, 11.0), strict=True):
+        assert (bar.total, bar.options["delay"]) == (30, 3)
+        assert bar.calls == [2.0, 2.0, last, "closed"]
+
+
 def test_uncached_code_is_compiled_in_every_process(capsys: pytest.CaptureFixture[str]):
     names: dict[str, Any] = {}
     exec(compile("def third(x):\n    return x / 3", "<no file>", "exec"), names)
@@ -277,16 +322,21 @@ def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.Monke
     assert elsewhere == [0.0]
 
 
-def test_the_cache_key_depends_on_imported_neighbours(tmp_path: Path):
+def test_the_cache_key_depends_on_imported_neighbours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     texts = {
-        "toy": "from .beside import called\nfrom .none import nothing",
+        "toy": "from .beside import called\nfrom .none import nothing\n"
+        "from ...integrators.kernels.kernel import called",
         "beside": "from .deep import called",
         "deep": "called = 1\nfrom .toy import x",
         "other": "called = 1",
+        "kernel": "called = 1",
     }
 
     def stamp(folder: str, **changed: str) -> str:
         (tmp_path / folder).mkdir()
+        monkeypatch.setattr(compilation, "KERNELS", tmp_path / folder)
         for name, text in (texts | changed).items():
             (tmp_path / folder / f"{name}.py").write_text(text)
         return compilation._sources(tmp_path / folder / "toy.py")
@@ -294,7 +344,7 @@ def test_the_cache_key_depends_on_imported_neighbours(tmp_path: Path):
     first = stamp("a")
     assert first == compilation._sources(tmp_path / "a" / "toy.py")
     assert stamp("b", other="called = 2") == compilation._sources(tmp_path / "b" / "toy.py")
-    for name in ("toy", "beside", "deep"):
+    for name in ("toy", "beside", "deep", "kernel"):
         texts_of = {name: f"{texts[name]}\n# changed"}
         assert len({stamp(f"{name} changed", **texts_of), first}) == 2
     toy = module(tmp_path, "toy_stamped", TOY.format(name="two"))
@@ -316,6 +366,39 @@ def test_code_cached_by_an_older_version_is_recompiled(gone: str, tmp_path: Path
     assert toy.twice(3.0) == 6.0
     assert file._load_index()
     del sys.modules["toy_outdated"]
+
+
+def test_damaged_code_is_ignored_with_one_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    toy = module(tmp_path, "toy_damaged", TOY.format(name="four"))
+    assert toy.twice(3.0) == 6.0
+    file = toy.twice._cache._cache_file
+    index = Path(file._index_path)
+    ((key, name),) = file._load_index().items()
+    code = Path(file._data_path(name))
+    data = file.load(key)
+    whole = {path: path.read_bytes() for path in (code, index)}
+    bit = bytes([whole[code][-1] ^ 1])
+    limit = "compiled code cannot be used or stored there \\(.*set NUMBA_CACHE_DIR"
+    for path, content in (
+        (code, whole[code][:-1] + bit),
+        (code, whole[code][:-9]),
+        (index, whole[index][:-9]),
+        (index, b""),
+    ):
+        monkeypatch.setattr(compilation, "_complained", set())
+        path.write_bytes(content)
+        with pytest.warns(UserWarning, match=rf"^{path}: {limit}") as warned:
+            assert (file.load(key), file.load(key)) == (None, None)
+        assert len(warned) == 1
+        file.save(key, data)
+        assert file.load(key)[0] == data[0]
+    # Nothing is stored on a full disk.
+    monkeypatch.setattr(compilation, "_complained", set())
+    index.unlink()
+    index.mkdir()
+    with pytest.warns(UserWarning, match=rf"{limit}"):
+        file.save(key, data)
+    del sys.modules["toy_damaged"]
 
 
 def test_compiled_functions_of_two_processes_have_different_names():

@@ -15,6 +15,8 @@ def test_wide_cells_are_wrapped():
     lines = tables.align(ROWS)
     assert max(map(len, lines)) <= 80
     assert sum("3.1e-06 s" in line for line in lines) == 1
+    with pytest.raises(ValueError, match="argument"):
+        tables.align([("a", "b"), ("c",)])
     # Every word is present, unbroken and in the order of its cell.
     words = " ".join(lines).split()
     for row in ROWS:
@@ -43,6 +45,7 @@ def test_words_for_numbers_and_durations():
     assert [tables.number(float(x), ".1f", "m") for x in ("nan", "-inf", "2.04")] == [
         "", "inf", "2.0 m",
     ]  # fmt: skip
+    assert tables.number(float("nan"), missing="-") == "-"
     assert [tables.counted(n, "step") for n in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
     row = {"a": float("nan"), "b": float("inf"), "c": 1.5, "d": "nan", "e": 3}
     assert tables.finite(row) == {"a": None, "b": None, "c": 1.5, "d": "nan", "e": 3}

@@ -20,7 +20,7 @@ from lmpchain import InputError
 from lmpchain.errors import did_you_mean, not_among
 from lmpchain.util import provenance
 from lmpchain.util.lazy import attributes, listed
-from lmpchain.util.tables import align, finite, number
+from lmpchain.util.tables import number
 from lmpchain.util.templates import render, render_text
 
 
@@ -123,26 +123,7 @@ def test_a_page_of_the_package_escapes_and_a_deck_does_not():
     assert version("lmpchain") in page
 
 
-# --- tables and names
-
-
-def test_columns_of_a_table_are_aligned():
-    rows = [("engine", "step", "why"), ("a", "12 s", ""), ("native", "", "x")]
-    assert align(iter(rows)) == ["engine  step  why", "a       12 s", "native        x"]
-    with pytest.raises(ValueError, match="argument"):
-        align([("a", "b"), ("c",)])
-
-
-def test_numbers_of_a_table():
-    assert number(1234.5) == "1.23e+03"
-    assert number(0.5, ".2f", "m") == "0.50 m"
-    assert (number(np.inf), number(-np.inf, infinite="none"), number(np.nan, missing="-")) == (
-        "inf",
-        "none",
-        "-",
-    )
-    row = {"a": 1.5, "b": np.inf, "c": float("nan"), "d": "text", "e": 3, "f": None}
-    assert finite(row) == {"a": 1.5, "b": None, "c": None, "d": "text", "e": 3, "f": None}
+# --- names
 
 
 def test_misspelt_names():

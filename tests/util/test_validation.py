@@ -227,6 +227,9 @@ def test_values_with_equal_contents_are_equal():
     assert Given(1.0, 2.0) != Sample()
     assert Inner(size=1.0) != 1.0
     assert hash(sample) == hash(Sample(vector=(1, 2)))
+    zero, other = Sample(vector=[0.0, 2.0]), Sample(vector=[-0.0, 2.0])
+    assert (zero == other, hash(zero) == hash(other)) == (True, True)
+    assert len({hash(each) for each in (sample, zero, Sample(), Sample(vector=[2.0]))}) == 4
 
 
 def test_a_pickled_value_is_equal_and_immutable():
