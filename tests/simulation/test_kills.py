@@ -2,14 +2,13 @@
 
 import itertools
 import json
-import mmap
 import os
 import random
 import signal
 import subprocess
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -31,15 +30,7 @@ from helpers.example_chains import column
 from helpers.example_scenes import paper, scene_of
 from helpers.kill_moments import kill_moments
 
-from lmpchain import (
-    EngineUnavailable,
-    Impulse,
-    Trajectory,
-    engines,
-    laws,
-    resume,
-    simulate,
-)
+from lmpchain import EngineUnavailable, Impulse, Trajectory, engines, laws, resume, simulate
 from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.linear import engine as linear
@@ -49,7 +40,7 @@ from lmpchain.integrators.steps import Steps
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.folder_files import is_run
 from lmpchain.simulation.run_folder import status
-from lmpchain.util import files, mpi
+from lmpchain.util import files
 
 CHAIN = column(200)
 STRIKE = Impulse(velocity=8.57e-3)
@@ -98,11 +89,7 @@ def fallback(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
     chain = column(6, gravity=0.0, top_load=1e-3)
     strike = Impulse(velocity=0.1 * chain.length_scale / chain.time_scale)
-    return (
-        scene_of(chain, strike, 30.0 * chain.time_scale, 11),
-        "auto",
-        1e-6,
-    )
+    return (scene_of(chain, strike, 30.0 * chain.time_scale, 11), "auto", 1e-6)
 
 
 @pytest.fixture
@@ -245,31 +232,6 @@ def test_ranks_name_no_shared_memory_and_end_with_their_launcher(tmp_path: Path)
     until(lambda: not processes(f"MARK={tmp_path}"))
 
 
-def test_files_of_killed_runs_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Files of launchers, and of ranks that were killed at their start, are removed.
-
-    Not what is in use, new, or of others.
-    """
-    monkeypatch.setattr(mpi, "SHARED_MEMORY", tmp_path)
-    monkeypatch.setattr(mpi, "TEMPORARY", tmp_path)
-    begins = ("hydra_hwloc_xmlfile_", "mpich_shm_", "other_", "ucx_shm_posix_")
-    old, used, new = (
-        [tmp_path / f"{each}{state}" for each in begins] for state in ("old", "used", "new")
-    )
-    for path in (*old, *used, *new):
-        path.write_bytes(bytes(4096))
-    for path in (*old, *used):
-        os.utime(path, (1, 1))
-    with ExitStack() as held:
-        for path in used[1:]:
-            file = held.enter_context(open(path, "rb"))
-            held.enter_context(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
-        mpi.remove_leftovers.__wrapped__()
-        assert set(tmp_path.iterdir()) == {*new, *used[1:], old[2]}
-        mpi.unname_shared_memory()
-        assert set(tmp_path.iterdir()) == {*new, *used[2:], old[2]}
-
-
 # --- kills at random moments
 
 LONGER = scene_of(CHAIN, STRIKE, 1e-3, 1001)
@@ -291,11 +253,7 @@ CASES = {
     "two ranks, then mpirun": (FEW, [*FIXED, *TWO], [1, 2, 1]),
 }
 # Cases that need a second attempt.
-SEVERAL = {
-    "native to a tolerance",
-    "lammps",
-    "two ranks to a tolerance",
-}
+SEVERAL = {"native to a tolerance", "lammps", "two ranks to a tolerance"}
 # An idle rank sleeps, so that with fewer cores than ranks the others can run.
 DOZE = {"MPIR_CVAR_POLLS_BEFORE_YIELD": "1", "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1"}
 

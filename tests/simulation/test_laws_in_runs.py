@@ -1,29 +1,18 @@
-"""Native runs of laws by formula: resumed, on threads, in batches, sweeps, and files."""
+"""Native runs of laws by formula: on threads, in batches, sweeps, and files."""
 
-import itertools
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.child_processes import same
 from helpers.example_chains import column
 from helpers.example_scenes import struck
 from helpers.thinned import thinned
 
 import lmpchain
-from lmpchain import (
-    Damping,
-    Law,
-    Scene,
-    Stopped,
-    laws,
-    resume,
-    simulate,
-    simulate_many,
-)
+from lmpchain import Damping, Law, Scene, laws, simulate, simulate_many
 from lmpchain.engines import Native
-from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.engines.stepping.time_stepping import kind
 
 N = 9
@@ -34,36 +23,6 @@ KINKED = Law("k*(max(o, 0) + r*min(o, 0))", k=1e5, r=0.3)
 def hit(law: Law, **options: Any) -> Scene:
     chain = column(**{"grains": N, "top_load": 0.01, "law": law} | options)
     return struck(chain, 0.2, 2e-4, 41)
-
-
-def same(one: lmpchain.Trajectory, two: lmpchain.Trajectory) -> bool:
-    return np.array_equal(one.displacement[:], two.displacement[:]) and np.array_equal(
-        one.velocity[:], two.velocity[:]
-    )
-
-
-@pytest.mark.parametrize(("law", "damped"), thinned(product([HARDER, KINKED], [False, True]), 3))
-def test_a_stopped_run_ends_with_the_same_bits(
-    law: Law, damped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    options = {"damping": Damping(viscoelastic=1e-7, drag=100.0)} if damped else {}
-    scene = hit(law, **options)
-    whole = simulate(scene, "native", 1e-8)
-    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
-    stops = 0
-    for attempt in itertools.count():
-        limit = 1e-9 if attempt < 3 else None
-        try:
-            if attempt == 0:
-                simulate(scene, "native", 1e-8, folder=tmp_path / "run", max_wall=limit)
-            else:
-                answer = resume(tmp_path / "run", max_wall=limit)
-                break
-        except Stopped:
-            stops += 1
-    assert stops > 0
-    assert same(answer, whole)
-    assert answer.scene == scene
 
 
 def test_a_saved_run_and_its_scene_are_read(tmp_path: Path) -> None:

@@ -1,23 +1,12 @@
 """Hopeless attempts end early, and unpredictable runs end at their predictability horizon."""
 
-import math
-
 import numpy as np
 import pytest
 from helpers import taylor_series
 from helpers.example_scenes import stirred
 
 import lmpchain
-from lmpchain import (
-    Chain,
-    Drive,
-    Impulse,
-    Scene,
-    Stopped,
-    ToleranceNotMet,
-    resume,
-    simulate,
-)
+from lmpchain import Chain, Drive, Impulse, Scene, Stopped, ToleranceNotMet, resume, simulate
 from lmpchain.engines.step_control import PATIENCE
 from lmpchain.engines.stepping import monitor
 from lmpchain.engines.stepping.monitor import JudgingTimes, place_looks
@@ -179,14 +168,6 @@ def test_the_best_possible_result_is_complete(early):
     # The result is equally accurate up to the predictability horizon.
     apart = answer.velocity[: kept.time.size] - kept.velocity
     assert np.abs(apart).max() <= 2e-6 * np.abs(kept.velocity).max()
-
-
-def test_a_scene_ends_before_a_time():
-    scene = springs(1e-3)
-    assert scene.until(math.inf) is scene
-    assert scene.until(1e-5) is scene
-    beginning = scene.until(scene.time[7])
-    assert np.allclose(beginning.time, scene.time[:7], rtol=1e-15, atol=0)
 
 
 @pytest.mark.slow

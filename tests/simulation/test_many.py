@@ -8,15 +8,7 @@ from helpers.example_chains import column
 from helpers.example_scenes import scene_of, smooth, struck
 from helpers.independent_integrators import distance, extended_reference
 
-from lmpchain import (
-    Drive,
-    Impulse,
-    InputError,
-    Scene,
-    ToleranceNotMet,
-    simulate,
-    simulate_many,
-)
+from lmpchain import Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate, simulate_many
 from lmpchain.engines import Native
 
 
@@ -78,13 +70,6 @@ def test_the_estimate_covers_the_error():
         error = distance((np.asarray(t.displacement), np.asarray(t.velocity)), (u, v))
         assert error <= t.error_estimate.total + 1e-10
         assert t.error_estimate.total <= 1e-7
-
-
-def test_the_cost_of_a_batch_is_shared_equally():
-    """Shares of a batch add up to its cost, including both attempts of a scene."""
-    alike = simulate_many([short(1e-4 * (1 + 1e-3 * i)) for i in range(4)])
-    assert len({t.cost.integration_s for t in alike}) == 1
-    assert all(t.cost.integration_s > 0 for t in alike)
 
 
 def test_other_engines_and_given_steps():

@@ -7,11 +7,13 @@ import os
 import random
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.child_processes import same
-from helpers.example_scenes import paper, scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import paper, scene_of, struck
 
 from lmpchain import (
     Chain,
@@ -19,10 +21,12 @@ from lmpchain import (
     Force,
     Impulse,
     InputError,
+    Law,
     Scene,
     Stopped,
     Trajectory,
     engines,
+    laws,
     resume,
     simulate,
 )
@@ -53,6 +57,14 @@ CROSSING = scene_of(
     1e-4,
     21,
 )
+LAWFUL = struck(
+    column(9, top_load=0.01, law=Law("k*max(o, 0)**1.5*(1 + c*o)", k=1e9, c=1e5)), 0.2, 2e-4, 41
+)
+KINKED = LAWFUL.replace(
+    chain=LAWFUL.chain.replace(
+        law=laws.bilinear(0.3, k=1e5), damping={"viscoelastic": 1e-7, "drag": 100.0}
+    )
+)
 STOPPED = {
     "native": (SCENE, engines.Native(step=2e-8), 1e-6),
     "several attempts": (SHORT, engines.Native(adaptive=False), 1e-4),
@@ -76,23 +88,12 @@ STOPPED = {
     "chebyshev": (SHORT, engines.Chebyshev(), 0.99),
     "bessel": (paper("weak", 301), engines.Bessel(), 0.99),
     "continuum": (paper("weak", 301), engines.Continuum(), 0.99),
+    "law": (LAWFUL, engines.Native(), 1e-8),
+    "damped law": (KINKED, engines.Native(), 1e-8),
 }
 
-LONGEST = (
-    "native",
-    "driven",
-    "pushed",
-    "wall moved",
-    "several attempts",
-    "verlet",
-    "lammps, gauge",
-    "lammps, apart",
-    "chebyshev",
-    "lammps, pushed",
-    "lammps, driven",
-    "lammps, away",
-    "modes, pushed",
-)
+QUICK = ("lammps", "modes", "bessel", "continuum", "law", "damped law")
+MARKS: dict[str, Any] = dict.fromkeys(QUICK, ()) | {"lammps, wall moved": pytest.mark.soak}
 
 
 @pytest.fixture(autouse=True)
@@ -103,18 +104,7 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(
-            name,
-            marks=pytest.mark.soak
-            if name == "lammps, wall moved"
-            else pytest.mark.slow
-            if name in LONGEST
-            else (),
-        )
-        for name in STOPPED
-    ],
+    "case", [pytest.param(case, marks=MARKS.get(case, pytest.mark.slow)) for case in STOPPED]
 )
 def test_stopped_after_every_block(case: str, tmp_path: Path):
     """The state belongs to the engine.
@@ -199,27 +189,6 @@ def test_another_version_is_named(stopped: Path):
     asked.write_text(asked.read_text().replace(f'"numpy": "{np.__version__}"', '"numpy": "1.0"'))
     with pytest.warns(UserWarning, match=f"numpy {np.__version__}, not 1.0"):
         resume(stopped)
-
-
-def test_a_changed_scene_is_rejected_in_one_line(stopped: Path):
-    whole = (stopped / "scene.toml").read_text()
-    for name, text in (
-        ("scene.toml", "[chain"),
-        ("scene.toml", whole.replace("grains", "grain")),
-        ("run.json", "{}"),
-    ):
-        before = (stopped / name).read_text()
-        (stopped / name).write_text(text)
-        with pytest.raises(InputError, match=r"scene\.toml was changed and cannot be read"):
-            resume(stopped)
-        (stopped / name).write_text(before)
-    assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
-
-
-def test_ranks_require_an_engine_that_uses_them(stopped: Path):
-    with pytest.raises(InputError, match="ranks: the engine native runs on one"):
-        resume(stopped, ranks=2)
-    assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
 
 
 @pytest.mark.slow

@@ -333,7 +333,7 @@ def test_wrong_input_leaves_no_folder(options: dict, key: str, tmp_path: Path):
     assert os.listdir(tmp_path) == []
 
 
-def test_an_empty_folder_can_be_used(tmp_path: Path):
+def test_a_folder_without_a_run_can_be_used(tmp_path: Path):
     """Incomplete files of a killed process are removed."""
     parts = [
         tmp_path / "run" / ".run.node-1-01234567.partial.json",

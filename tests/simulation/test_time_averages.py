@@ -9,17 +9,7 @@ import pytest
 from scipy.stats import t
 
 import lmpchain
-from lmpchain import (
-    Chain,
-    Displacement,
-    Drive,
-    Impulse,
-    InputError,
-    Law,
-    Profile,
-    Scene,
-    averages,
-)
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Law, Profile, Scene, averages
 from lmpchain.engines.cost_model import TooLong, budget
 from lmpchain.simulation import time_averages
 from lmpchain.simulation.observables import observable
@@ -418,10 +408,3 @@ def test_a_run_at_a_given_step_beyond_predictability_warns():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         lmpchain.simulate(scene.replace(duration=1e-4), engine="native", step=1e-7)
-
-
-def test_a_tolerance_beyond_predictability_names_the_call():
-    chain = Chain(grains=12, material="glass", diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
-    with pytest.raises(lmpchain.ToleranceNotMet, match=r"lmpchain\.averages"):
-        lmpchain.simulate(scene)
