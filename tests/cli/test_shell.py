@@ -240,6 +240,7 @@ def test_bash_completes_commands_options_and_files(scene: Path, capsys):
     assert completions("lmpchain run --tol", script) == ["--tolerance"]
     assert completions("lmpchain deck --integrator k", script) == ["kahan-li6"]
     assert completions("lmpchain run sce", script) == ["scene.toml"]
+    assert completions("lmpchain run --engine sce", script) == []
     assert "--of" not in completions("lmpchain orbit --", script)
     for shell in ("zsh", "tcsh"):
         assert main(["--print-completion", shell]) == 0

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -210,3 +211,24 @@ def test_a_numba_without_compilation_is_named(check: Any, monkeypatch: Any):
     [(_, state, text)] = check("numba cache")
     assert state == "warning"
     assert "NUMBA_DISABLE_JIT" in text
+
+
+@pytest.mark.parametrize(("pace_s", "said"), [(0.7, True), (0.01, False)])
+def test_long_compilation_is_announced(pace_s: float, said: bool, monkeypatch: Any):
+    """The time of one job predicts the time of the others, which is nearly 0 if they are cached."""
+    total_s = [0.0]
+
+    def take(*_: Any, **__: Any) -> None:
+        total_s[0] += pace_s
+
+    monkeypatch.setattr("lmpchain.util.compilation.compiled_s", lambda: total_s[0])
+    for name in ("simulation.api.simulate", "measure.front.track", "design.gradient"):
+        monkeypatch.setattr(f"lmpchain.{name}", take)
+    monkeypatch.setattr("lmpchain.integrators.kernels.contact_forces.addresses", take)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        doctor.compile_all()
+    texts = [str(each.message) for each in told]
+    assert len(texts) == said
+    # 139 s for the jobs after the first one, which takes 0.7 s.
+    assert not said or "takes about 2.3 minutes: without --compile" in texts[0]

@@ -212,18 +212,12 @@ def shorter() -> str:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            damaged("\n    1         0", "\n    4         0"),
-            "type 4 is not a time response",
-        ),
+        (damaged("\n    1         0", "\n    4         0"), "type 4 is not a time response"),
         (damaged("\n         2        81", "\n         5        81"), "ordinates are of type 5"),
         (damaged("\n         2        81", "\n         2        90"), "it has 81 numbers, not 90"),
         (damaged("    58\n", "   58b\n"), "dataset 58b is binary: export it as ASCII"),
         (damaged("    58\n", "    15\n"), "it has no time response"),
-        (
-            damaged("Time                 s", "Time                 Hz"),
-            "abscissa is in Hz",
-        ),
+        (damaged("Time                 s", "Time                 Hz"), "abscissa is in Hz"),
         (shorter(), "its records are of different lengths: export one of them"),
     ],
 )
@@ -271,8 +265,7 @@ def test_records_of_universal_files_have_names_times_and_units(even: bool):
 
 
 @pytest.mark.parametrize(
-    ("name", "library"),
-    [("a.mat, PicoScope", "scipy.io"), ("g.h5", "h5py"), ("e.npz", None)],
+    ("name", "library"), [("a.mat, PicoScope", "scipy.io"), ("g.h5", "h5py"), ("e.npz", None)]
 )
 def test_arrays_need_memory_and_a_library(
     name: str, library: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

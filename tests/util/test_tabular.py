@@ -8,7 +8,6 @@ import pandas
 import pytest
 
 from lmpchain import Chain, Damping, Force, Impulse, InputError, Scene, plan, simulate
-from lmpchain.cli import main
 from lmpchain.design import Traces
 from lmpchain.measure import contact, energy, fit, front, spectrum, traces
 from lmpchain.theory import bands, dimer_soliton, scattering
@@ -149,44 +148,6 @@ def test_results_with_a_picture_are_tables():
                 if "plot" in methods and "Tabular" not in bases:
                     drawn.add(node.name)
     assert drawn == set()
-
-
-def test_the_command_exports(damped, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    damped.save(tmp_path / "run.nc")
-    path = tmp_path / "trace.csv"
-    command = ["export", str(tmp_path / "run.nc"), "-o", str(path)]
-    chosen = ["--contact-force", "10,wall", "--velocity", "5", "--displacement", "5", "--energies"]
-    assert main([*command, *chosen]) == 0
-    assert capsys.readouterr().out == f"traces: {path}\n"
-    frame = pandas.read_csv(path, float_precision="round_trip")
-    assert list(frame.columns)[:5] == [
-        "time [s]",
-        "force_10 [N]",
-        "force_wall [N]",
-        "velocity_5 [m/s]",
-        "displacement_5 [m]",
-    ]
-    np.testing.assert_array_equal(frame["force_wall [N]"], contact.wall_force(damped))
-    assert main(command) == 0
-    assert pandas.read_csv(path).shape == (161, 25)
-    for words, said in (
-        (
-            ["--contact-force", "10,wal"],
-            "error: contact-force: must be numbers of grains or wall, top, bottom",
-        ),
-        (["--velocity", "wall"], "error: velocity: must be numbers of grains, with commas"),
-        (["--velocity", "99"], "error: velocity: grain 99 was not recorded"),
-    ):
-        capsys.readouterr()
-        assert main([*command, *words]) == 2
-        assert capsys.readouterr().err.startswith(said)
-
-
-def test_a_run_folder_is_exported(tmp_path: Path):
-    simulate(SCENE, engine="native", folder=tmp_path / "run")
-    path = tmp_path / "trace.csv"
-    assert main(["export", str(tmp_path / "run"), "-o", str(path), "--contact-force", "wall"]) == 0
-    assert len(path.read_text().splitlines()) == 162
 
 
 def test_an_unwritable_file_is_preserved(damped, tmp_path: Path):

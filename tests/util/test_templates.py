@@ -174,11 +174,7 @@ def test_a_module_lists_its_own_functions_and_classes(monkeypatch: pytest.Monkey
 
 def test_checksums_agree_with_sha256sum(tmp_path: Path):
     (tmp_path / "inner").mkdir()
-    for name, content in {
-        "b": b"2",
-        "a": b"1",
-        "inner/c": b"3",
-    }.items():
+    for name, content in {"b": b"2", "a": b"1", "inner/c": b"3"}.items():
         (tmp_path / name).write_bytes(content)
     lines = provenance.checksums(tmp_path, [tmp_path / name for name in ("a", "b", "inner/c")])
     assert re.findall(r"  (.*)\n", lines) == ["a", "b", "inner/c"]
