@@ -547,7 +547,7 @@ def test_engines_of_the_user_cannot_use_a_run_folder(tmp_path):
     write_order(tmp_path / "other", SCENE, hostile, 1e-6, False)
     said = {"state": "stopped", "reason": "", "tolerance": 1e-6, "best_effort": False}
     (tmp_path / "other" / "status.json").write_text(sealed_json(said))
-    with pytest.raises(InputError, match="include: .*shell"):
+    with pytest.raises(InputError, match=r"include: .*shell"):
         resume(tmp_path / "other")
 
 

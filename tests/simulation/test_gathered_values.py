@@ -171,28 +171,6 @@ def test_only_requested_quantities_are_accumulated():
         assert ("fine_time" in gathered) == name.startswith("force")
 
 
-def test_a_hertzian_contact_of_a_weak_wave_has_the_force_of_its_law():
-    """Linear engines accumulate the linear force, the native engine Hertz's force.
-
-    They agree where the wave is weak.
-    """
-    chain = column(20, gravity=0.0, top_load=1e-2)
-    strike = Impulse(velocity=1e-5 * chain.length_scale / chain.time_scale)
-    scene = scene_of(chain, strike, 8 * chain.time_scale, 2, quantities=["force:2"])
-    native, modes = (
-        simulate(scene, engine, 1e-9 if engine == "native" else 0.9).gathered
-        for engine in ("native", "modes")
-    )
-    change = native["force:2"] - 1e-2
-    assert np.abs(change).max() > 0
-    np.testing.assert_allclose(
-        np.interp(native["fine_time"], modes["fine_time"], modes["force:2"]) - 1e-2,
-        change,
-        rtol=0,
-        atol=2e-3 * np.abs(change).max(),
-    )
-
-
 def test_an_accumulating_run_passes_samples_on_and_keeps_its_state():
     scene = springs(2, samples=4)
     engine = engines.plain("modes")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of, stirred
+from helpers.example_scenes import run, scene_of, stirred
 from helpers.independent_integrators import extended_reference
 from scipy.optimize import brentq
 
@@ -30,8 +30,6 @@ from lmpchain import (
 from lmpchain.disorder.averages import ensemble
 from lmpchain.engines.linear import engine as linear
 from lmpchain.engines.stepping import time_stepping as stepping_run
-from lmpchain.measure.contact import contacts
-from lmpchain.measure.motion import motion_of
 from lmpchain.simulation.run_folder import status
 from lmpchain.stability.roundoff import measured_floor
 from lmpchain.stability.step_limit import blow_up
@@ -76,6 +74,18 @@ def test_an_oscillator_whose_samples_are_nodes(engine: str):
     assert found["peak_velocity_error"][0] < 3e-6 * length * OMEGA
     assert found["arrival_time_error"][0] < 1e-5 / OMEGA
     assert found["peak_force:1_error"] < 3e-6 * stiffness * length
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+@pytest.mark.parametrize("engine", ["modes", "chebyshev"])
+def test_a_linear_motion_has_the_force_of_the_contact_law(engine: str):
+    pair = PAIR.replace(exponent=1.5)
+    start = Displacement(displacement=0.3 * float(pair.equilibrium_overlap[0]))
+    asked = ["peak_force:1", "force:1"]
+    found = run(pair, start, 20 / pair.band_edge, 2, engine=engine, quantities=asked).gathered
+    exact = 10.0 * (1 + 0.3 * np.cos(pair.band_edge * found["fine_time"])) ** 1.5
+    np.testing.assert_allclose(found["force:1"], exact, rtol=1e-9)
+    assert found["peak_force:1"] == pytest.approx(10.0 * 1.3**1.5, rel=1e-9)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
@@ -128,35 +138,6 @@ def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
     assert off(found, "peak_velocity", sizes.max())[0] < 1
     assert off(found, "arrival_time", tops[np.argmax(sizes >= sizes.max() / 2)] / OMEGA)[0] < 1
     assert found["arrival_time_error"][0] < 1e-4 / OMEGA
-
-
-@pytest.mark.filterwarnings("ignore:Eq. ")
-@pytest.mark.parametrize(
-    ("engine", "scene"), [("native", STRUCK), ("modes", WEAK), ("chebyshev", WEAK)]
-)
-def test_two_samples_give_the_same_as_20001(engine: str, scene: Scene):
-    few = simulate(scene, engine, 1e-9).gathered
-    many = simulate(scene.replace(samples=20001, quantities=None), engine, 1e-9)
-    motion = motion_of(many)
-    for field in ("velocity", "displacement"):
-        peaks = motion.peaks(field)
-        assert (
-            np.abs(few[f"peak_{field}"] - peaks.value) <= few[f"peak_{field}_error"] + peaks.error
-        ).all()
-    fronts = motion.fronts("velocity", 0.5, width=False)
-    assert np.array_equal(np.isnan(few["arrival_time"]), np.isnan(fronts[:, 0]))
-    passed = np.isfinite(fronts[:, 0])
-    assert passed.sum() > 3
-    apart = np.abs(few["arrival_time"] - fronts[:, 0])[passed]
-    assert (apart <= few["arrival_time_error"][passed] + fronts[passed, 3]).all()
-    assert (few["arrival_time_error"][passed] < 1e-4 * scene.duration).all()
-    history = contacts(many, [4])
-    assert abs(few["peak_force:4"] - history.force.max()) < few[
-        "peak_force:4_error"
-    ] + 1e-7 * np.ptp(history.force)
-    trace = np.interp(few["fine_time"], history.time, history.change[:, 0])
-    change = few["force:4"] - float(COLUMN.contacts.force[4])
-    assert np.abs(change - trace).max() < 1e-6 * np.ptp(trace) + few["force:4_error"].max()
 
 
 ACTING = {

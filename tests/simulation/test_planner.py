@@ -136,18 +136,6 @@ def test_a_weak_strike_is_solved_by_linear_theory_within_its_error():
     assert plan.expected_cost_s < next(p.cost_s for p in plan.candidates if p.engine == "native")
 
 
-def test_linear_theory_where_it_is_cheaper():
-    scene = periodic(duration=5e4)
-    plan = lmpchain.plan(scene)
-    t = simulate(scene)
-    assert plan.engine == t.engine == "modes"
-    assert t.equation == 3
-    assert t.provenance["plan"].startswith("modes: solves Eq. (3), the cheapest within")
-    native = next(proposal for proposal in plan.candidates if proposal.engine == "native")
-    assert plan.expected_cost_s < native.cost_s / 10
-    assert t.error_estimate.total < 1e-6
-
-
 def hopeful(monkeypatch: pytest.MonkeyPatch) -> Scene:
     """Make linear engines expect no model error; return a scene that has one."""
     monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)

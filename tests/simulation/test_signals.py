@@ -36,8 +36,9 @@ VERLET = [
     "--diameter",
     "physical",
 ]
+NATIVE = ["--engine", "native", "--step", "1e-6"]
 CASES = {
-    "native": (["--engine", "native", "--step", "1e-6"], 1),
+    "native": (NATIVE, 1),
     "lammps": (VERLET, 1),
     "two ranks": ([*VERLET, "--ranks", "2"], 1),
     "mpirun": (VERLET, 2),
@@ -142,8 +143,7 @@ def test_handlers_are_restored(tmp_path: Path):
 def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     scene = write(ENDLESS, tmp_path)
     folder = tmp_path / "run"
-    native = ["--engine", "native", "--step", "1e-6"]
-    assert main(["run", str(scene), "-o", f"{folder}/", *native, "--max-wall", "0:00:01"]) == 75
+    assert main(["run", str(scene), "-o", f"{folder}/", *NATIVE, "--max-wall", "0:00:01"]) == 75
     said = capsys.readouterr()
     assert said.out == ""
     assert re.fullmatch(
@@ -153,24 +153,15 @@ def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     )
     assert status(folder)["state"] == "stopped"
     assert main(["resume", str(folder), "--max-wall", "0.5"]) == 75
-    assert main(["run", str(scene), "-o", f"{tmp_path}/run.nc", *native, "--max-wall", "1"]) == 2
+    assert main(["run", str(scene), "-o", f"{tmp_path}/run.nc", *NATIVE, "--max-wall", "1"]) == 2
     for wrong in ("0", "-1", "1:2", "1:60:00", "x", "nan", "1e400", "0:00:60"):
         assert main(["resume", str(folder), f"--max-wall={wrong}"]) == 2, wrong
 
 
 @pytest.mark.slow
 def test_a_stopped_single_file_run_names_the_folder_option(tmp_path: Path):
-    words = [
-        "run",
-        write(ENDLESS, tmp_path),
-        "-o",
-        tmp_path / "run.nc",
-        "--engine",
-        "native",
-        "--step",
-        "1e-6",
-    ]
-    with on_a_terminal(*COMMAND, *words) as (process, read_until):
+    words = ["run", write(ENDLESS, tmp_path), "-o", tmp_path / "run.nc"]
+    with on_a_terminal(*COMMAND, *words, *NATIVE) as (process, read_until):
         read_until("native:")  # The progress bar.
         process.send_signal(signal.SIGTERM)
         said = read_until("; with -o FOLDER/ a stopped run is kept")
@@ -182,15 +173,6 @@ def test_a_stopped_single_file_run_names_the_folder_option(tmp_path: Path):
 @pytest.mark.slow
 def test_progress_on_a_terminal(tmp_path: Path):
     """The bar shows rate, remaining time and error, and nothing if stderr is not a terminal."""
-    words = [
-        "run",
-        write(ENDLESS, tmp_path),
-        "-o",
-        f"{tmp_path}/run/",
-        "--engine",
-        "native",
-        "--step",
-        "1e-6",
-    ]
-    with on_a_terminal(*COMMAND, *words) as (_, read_until):
+    words = ["run", write(ENDLESS, tmp_path), "-o", f"{tmp_path}/run/"]
+    with on_a_terminal(*COMMAND, *words, *NATIVE) as (_, read_until):
         read_until(r"native: +\d+% \|.*\| +[\d.]+ samples/s, [\d:]+ left, error \d")
