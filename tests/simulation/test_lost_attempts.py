@@ -9,7 +9,7 @@ import lmpchain
 from lmpchain import Chain, Drive, Impulse, Scene, Stopped, ToleranceNotMet, resume, simulate
 from lmpchain.engines.step_control import PATIENCE
 from lmpchain.engines.stepping import monitor
-from lmpchain.engines.stepping.monitor import JudgingTimes, place_looks
+from lmpchain.engines.stepping.monitor import JudgingTimes
 
 
 def agitated(grains: int = 60, duration: float = 1e-3) -> Scene:
@@ -49,15 +49,6 @@ def ends(monkeypatch):
 
     monkeypatch.setattr("lmpchain.engines.step_control._judge", watch)
     return ends
-
-
-def test_judging_times_depend_only_on_the_scene():
-    """Each time is within a tenth of the next; short runs have none."""
-    assert place_looks(0.005, 1000, 4) == frozenset()
-    looks = sorted(place_looks(1.0, 10**6, 4))
-    assert all(look % 4 == 0 for look in looks)
-    assert max(b / a for a, b in zip(looks, [*looks[1:], 10**6], strict=True)) < 1.11
-    assert looks[0] == pytest.approx(0.01 * 10**6, rel=0.1)
 
 
 def test_a_hopeless_attempt_ends_early_and_sets_the_next_step(early, ends):

@@ -154,20 +154,6 @@ def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     assert status(folder)["state"] == "stopped"
     assert main(["resume", str(folder), "--max-wall", "0.5"]) == 75
     assert main(["run", str(scene), "-o", f"{tmp_path}/run.nc", *NATIVE, "--max-wall", "1"]) == 2
-    for wrong in ("0", "-1", "1:2", "1:60:00", "x", "nan", "1e400", "0:00:60"):
-        assert main(["resume", str(folder), f"--max-wall={wrong}"]) == 2, wrong
-
-
-@pytest.mark.slow
-def test_a_stopped_single_file_run_names_the_folder_option(tmp_path: Path):
-    words = ["run", write(ENDLESS, tmp_path), "-o", tmp_path / "run.nc"]
-    with on_a_terminal(*COMMAND, *words, *NATIVE) as (process, read_until):
-        read_until("native:")  # The progress bar.
-        process.send_signal(signal.SIGTERM)
-        said = read_until("; with -o FOLDER/ a stopped run is kept")
-        assert ended(process)[0] == 143
-    assert "stopped by SIGTERM; nothing unfinished was kept; with" in said
-    assert "Traceback" not in said
 
 
 @pytest.mark.slow

@@ -51,11 +51,17 @@ class Tqdm:
         self.calls.append((text, refresh))
 
 
-def test_a_bar_counts_finished_work(monkeypatch: pytest.MonkeyPatch):
-    bars: list[Tqdm] = []
+@pytest.fixture
+def bars(monkeypatch: pytest.MonkeyPatch) -> list[Tqdm]:
+    """Record the bars instead of showing them."""
+    made: list[Tqdm] = []
     monkeypatch.setattr(
-        "tqdm.auto.tqdm", lambda **options: bars.append(Tqdm(**options)) or bars[-1]
+        "tqdm.auto.tqdm", lambda **options: made.append(Tqdm(**options)) or made[-1]
     )
+    return made
+
+
+def test_a_bar_counts_finished_work(bars: list[Tqdm]):
     with ProgressBar(7, "engines", " samples", done=2, layout=RATE) as bar:
         bar.advance()
         bar.advance(0.5)
@@ -63,27 +69,13 @@ def test_a_bar_counts_finished_work(monkeypatch: pytest.MonkeyPatch):
         bar.describe("native")
         bar.remark("slow")
     (shown,) = bars
-    assert shown.options == {
-        "total": 7,
-        "desc": "engines",
-        "unit": " samples",
-        "initial": 2,
-        "leave": False,
-        "bar_format": RATE,
-        "delay": 0.0,
-    }
+    options = {"total": 7, "desc": "engines", "unit": " samples", "initial": 2, "leave": False}
+    assert shown.options == options | {"bar_format": RATE, "delay": 0.0}
     assert shown.calls == [1, 0.5, 2.5, "native", ("slow", False), ("shown", 7), "closed"]
     with ProgressBar(3):
         pass
-    assert bars[1].options == {
-        "total": 3,
-        "desc": "",
-        "unit": "",
-        "initial": 0,
-        "leave": False,
-        "bar_format": COUNT,
-        "delay": 0.0,
-    }
+    options = {"total": 3, "desc": "", "unit": "", "initial": 0, "leave": False}
+    assert bars[1].options == options | {"bar_format": COUNT, "delay": 0.0}
     with ProgressBar(3, shown=False) as bar:
         bar.advance()
         bar.reach(2)
@@ -165,11 +157,14 @@ def test_a_table_has_names_values_and_meanings():
 
 
 def test_a_small_picture_is_720_by_450_pixels():
+    drawn: list[Any] = []
+
     class Drawn(Few):
         def plot(self, ax: Any) -> None:
-            ax.plot([0, 1], [0, 1])
+            drawn.append(ax.figure.get_size_inches().tolist())
 
     content = base64.b64decode(Drawn(0)._picture())
+    assert drawn == [[4.8, 3.0]]
     assert struct.unpack(">II", content[16:24]) == (720, 450)
     assert '<img alt="Drawn"' in Drawn(0)._repr_html_()
     assert Few(0)._picture() == ""
@@ -237,19 +232,18 @@ def test_a_long_compilation_has_a_bar_on_a_terminal(
     del sys.modules["toy_with_bar"]
 
 
-def test_the_bar_of_nested_compilations_follows_the_clock(monkeypatch: pytest.MonkeyPatch):
+def test_the_bar_of_nested_compilations_follows_the_clock(
+    bars: list[Tqdm], monkeypatch: pytest.MonkeyPatch
+):
     """Garbage is collected less often meanwhile; a function without a job changes no bar."""
-    bars: list[Tqdm] = []
-    monkeypatch.setattr(
-        "tqdm.auto.tqdm", lambda **options: bars.append(Tqdm(**options)) or bars[-1]
-    )
     terminal = io.StringIO()
     terminal.isatty = lambda: True  # type: ignore[method-assign]
     monkeypatch.setattr(sys, "stderr", terminal)
     now = SimpleNamespace(s=10.0)
     clocks = SimpleNamespace(perf_counter=lambda: now.s, thread_time=lambda: 0.0)
     monkeypatch.setattr(compilation, "time", clocks)
-    collected = gc.get_threshold()
+    before, collected = gc.get_threshold(), (700, 11, 12)
+    gc.set_threshold(*collected)
 
     def at(second: float, change: Any, function: Any) -> None:
         now.s = second
@@ -266,7 +260,7 @@ def test_the_bar_of_nested_compilations_follows_the_clock(monkeypatch: pytest.Mo
         at(9.0, start_event, other)
         at(9.5, end_event, other)
         at(10.0, start_event, long)
-        assert gc.get_threshold() == (max(500_000, collected[0]), *collected[1:])
+        assert gc.get_threshold() == (500_000, 11, 12)
         at(11.0, start_event, long)
         at(12.0, end_event, long)
         at(13.0, start_event, other)
@@ -277,6 +271,13 @@ def test_the_bar_of_nested_compilations_follows_the_clock(monkeypatch: pytest.Mo
     for bar, last in zip(bars, (26.0, 11.0), strict=True):
         assert (bar.total, bar.options["delay"]) == (30, 3)
         assert bar.calls == [2.0, 2.0, last, "closed"]
+    monkeypatch.setattr(compilation._announcer, "silent", False)
+    compilation.announce_nothing()
+    compilation.compiled_once("what is quiet", 30)(other)
+    at(60.0, start_event, other)
+    at(61.0, end_event, other)
+    assert "quiet" not in terminal.getvalue()
+    gc.set_threshold(*before)
 
 
 def test_uncached_code_is_compiled_in_every_process(capsys: pytest.CaptureFixture[str]):
@@ -302,13 +303,10 @@ def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.Monke
         now.s = second
         change("numba:compiler_lock")
 
-    for second, change in (
-        (11.0, start_event),
-        (12.0, start_event),
-        (14.0, end_event),
-        (17.0, end_event),
-    ):
-        at(second, change)
+    at(11.0, start_event)
+    at(12.0, start_event)
+    at(14.0, end_event)
+    at(17.0, end_event)
     assert compilation.compiled_s() - before == pytest.approx(6.0)
     at(20.0, start_event)
     at(20.5, end_event)
@@ -316,10 +314,11 @@ def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.Monke
     assert compilation.compiled_cpu_s() - cpu_before == pytest.approx(3.25)
     assert compilation.clock() == pytest.approx(20.5 - compilation.compiled_s())
     elsewhere: list[float] = []
-    thread = threading.Thread(target=lambda: elsewhere.append(compilation.compiled_s()))
+    spent = compilation.compiled_s, compilation.compiled_cpu_s
+    thread = threading.Thread(target=lambda: elsewhere.extend(each() for each in spent))
     thread.start()
     thread.join()
-    assert elsewhere == [0.0]
+    assert elsewhere == [0.0, 0.0]
 
 
 def test_the_cache_key_depends_on_imported_neighbours(
@@ -382,7 +381,9 @@ def test_damaged_code_is_ignored_with_one_warning(tmp_path: Path, monkeypatch: p
     for path, content in (
         (code, whole[code][:-1] + bit),
         (code, whole[code][:-9]),
+        (code, b"not found"),
         (index, whole[index][:-9]),
+        (index, bytes(len(whole[index]))),
         (index, b""),
     ):
         monkeypatch.setattr(compilation, "_complained", set())

@@ -99,25 +99,10 @@ def test_a_page_of_the_package_escapes_and_a_deck_does_not():
     with pytest.raises(Exception, match="undefined"):
         render("report.html")
     still = SimpleNamespace(caption="<b>", alt="a", svg="")
-    values = {
-        "title": "<i>",
-        "cards": [],
-        "still": still,
-        "live": {},
-        "sections": [],
-        "fits": [],
-        "notes": [],
-        "left_out": [],
-    }
-    values |= {
-        "facts": [],
-        "provenance": [],
-        "scene": "",
-        "script": "",
-        "digest": "",
-        "citation": "",
-    }
-    page = render("report.html", **values)
+    lists = ("cards", "sections", "fits", "notes", "left_out", "facts", "provenance")
+    texts = ("scene", "script", "digest", "citation")
+    values = {key: [] for key in lists} | dict.fromkeys(texts, "")
+    page = render("report.html", title="<i>", still=still, live={}, **values)
     assert "&lt;i&gt;" in page
     assert "<i>" not in page
     assert version("lmpchain") in page
