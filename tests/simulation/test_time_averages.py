@@ -100,8 +100,11 @@ def test_temperature_and_equipartition():
     )
 
 
-def test_a_linear_chain_has_the_averages_of_its_mode():
-    """A single mode: half the energy is kinetic, with the variance E^2 / 8 of its cosine."""
+def test_a_linear_chain_has_the_averages_of_its_mode(monkeypatch: pytest.MonkeyPatch):
+    """A single mode: half the energy is kinetic, with the variance E^2 / 8 of its cosine.
+
+    The means of the 256 time intervals are those of its samples, whatever the blocks are.
+    """
     chain = Chain(grains=12, diameter=1e-3, gravity=0, top_load=1.0, top="wall", bottom="wall")
     modes = lmpchain.theory.modes.eigenmodes(chain)
     shape = modes.shape[:, 2] / np.sqrt(chain.masses)
@@ -112,6 +115,26 @@ def test_a_linear_chain_has_the_averages_of_its_mode():
         # A motion without chaos has infinite correlations.
         warnings.simplefilter("ignore")
         found = averages(scene, ["kinetic_energy"], time=1280.3 * period, tolerance=1e-6)
+        short = []
+        for numbers in (12 * 5, 2**17):
+            monkeypatch.setattr(time_averages, "BLOCK_NUMBERS", numbers)
+            names = ["kinetic_energy", "displacement:3"]
+            short.append(averages(scene, names, time=64.3 * period, tolerance=1e-9))
+    for average in short:
+        times = average.warm_up + (average.time - average.warm_up) * np.arange(1, 2049) / 2048
+        phase = modes.frequency[2] * times
+        assert average.warm_up == pytest.approx(0.2 * 64.3 * period, rel=0.01)
+        for name, exact in (
+            ("kinetic_energy", scene.energy * np.sin(phase) ** 2),
+            ("displacement:3", start.displacement[2] * np.cos(phase)),
+        ):
+            (means,) = average.stretch_mean[name]
+            atol = 1e-6 * np.abs(exact).max()
+            np.testing.assert_allclose(means, exact.reshape(256, 8).mean(1), rtol=0, atol=atol)
+            assert average.mean[name] == pytest.approx(exact.mean(), rel=0, abs=atol)
+            error = average.correlation_time[name] * 2 / (average.time - average.warm_up)
+            exact_variance = exact.var() / (1 - error) if average.batches[name] else exact.var()
+            assert average.variance[name] == pytest.approx(exact_variance, rel=1e-5)
     assert found.integrator == "rkn6"
     assert found.mean["kinetic_energy"] == pytest.approx(scene.energy / 2, rel=1e-3)
     assert found.variance["kinetic_energy"] == pytest.approx(scene.energy**2 / 8, rel=2e-3)
