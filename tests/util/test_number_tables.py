@@ -350,6 +350,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path):
         ("t,F\n-,-\n", ["column 1 (-)", "column 2 (-)"]),
         ("s,N\n", ["column 1 in s", "column 2 in N"]),
         ("s,-\n", ["column 1 (s)", "column 2 (-)"]),
+        ("ms,depth\n", ["column 1 (ms) in ms", "column 2 (depth)"]),
         ("t,F,remark\ns,N\n", ["column 1 (t) in s", "column 2 (F) in N"]),
     ],
 )
@@ -399,10 +400,10 @@ def test_units_of_lammps_are_those_of_codata():
         assert read_units(name) == pytest.approx(units, rel=1e-8)
         assert read_units(None, name) == read_units(name, name) == read_units(name)
     assert read_units(None) == (1.0, 1.0, 1.0, 1.0)
-    for scales in ("2,4,8", (2.0, 4.0, 8.0)):
+    for scales in ("0.5,4,8", (0.5, 4.0, 8.0)):
         given = read_units(scales)
-        assert given == (2.0, 4.0, 8.0, 0.5)
-        assert (given.force, given.pressure) == (1.0, 0.25)
+        assert given == (0.5, 4.0, 8.0, 0.125)
+        assert (given.force, given.pressure) == (0.25, 1.0)
     for wrong in ("lj", "imperial", "1,2,x", (1.0, 0.0, 1.0), (1.0, 1.0, np.inf), (1.0, 2.0)):
         with pytest.raises(InputError, match=r"^units: "):
             read_units(wrong)
