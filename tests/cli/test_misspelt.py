@@ -130,20 +130,6 @@ def test_the_keys_of_a_trace_from_a_file_are_listed():
         Scene.from_text(text)
 
 
-def test_unknown_keys_and_wrong_values_are_reported_together():
-    with pytest.raises(InputError) as caught:
-        Scene.from_text(TEXT.replace("grains = 3", "grains = -3\nfil = 1"))
-    faults = dict(caught.value.faults)
-    assert faults["chain.fil"].startswith("unknown key (did you mean 'file'?)")
-    assert faults["chain.grains"].startswith("must be")
-
-
-def test_no_suggestion_without_a_similar_name():
-    with pytest.raises(InputError) as caught:
-        Chain(grains=3, diameter=1e-3, material="wood")
-    assert "did you mean" not in str(caught.value)
-
-
 def help_of(verb: str, option: str) -> str:
     (text,) = (options["help"] for spelled, options in VERBS[verb].arguments if option in spelled)
     return text

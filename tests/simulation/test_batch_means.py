@@ -40,12 +40,6 @@ def test_94_to_96_percent_of_1000_intervals_cover(memory: float, copies: int):
     assert least <= coverage(memory, copies, 8 if memory < 0.9 else 16, TRIALS, 1) <= most
 
 
-@pytest.mark.soak
-@pytest.mark.parametrize(("memory", "copies"), [(0.0, 1), (0.5, 1), (0.8, 2), (0.9, 4), (0.9, 1)])
-def test_94_to_96_percent_of_20000_intervals_cover(memory: float, copies: int):
-    assert 0.94 <= coverage(memory, copies, 32, 20 * TRIALS, 2) <= 0.96
-
-
 @pytest.mark.parametrize("memory", [0.95, 0.99, 0.999, 0.9999])
 def test_intervals_of_long_correlations_are_not_too_narrow(memory: float):
     """Intervals from few batches may be infinite; the others are wide enough on average."""

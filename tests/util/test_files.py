@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.command_output import names
+from helpers.faults import faults
 
 from lmpchain import InputError
 from lmpchain.util import files
@@ -167,10 +168,8 @@ def test_a_folder_is_made_with_its_parents(tmp_path: Path):
         assert make_folder(str(folder)) == folder
         assert folder.is_dir()
     (folder / "file").touch()
-    with pytest.raises(InputError) as caught:
-        make_folder(folder / "file")
     fault = "is not a folder and cannot be made one: File exists"
-    assert caught.value.faults == [(str(folder / "file"), fault)]
+    assert faults(make_folder, folder / "file") == [(str(folder / "file"), fault)]
 
 
 # --- readable files
