@@ -37,7 +37,7 @@ class Gatherer:
     first : int
         Number of grains above the part.
     linear : bool
-        Whether the contact forces are linearised.
+        Whether the equation of motion is linear. Forces of contacts follow from the contact law.
     state : mapping
         Arrays from `state` of an earlier gatherer, which this one continues; empty at t = 0.
     """

@@ -278,8 +278,10 @@ def _time_response(lines: list[str]) -> tuple[str, Array, Array, str]:
         raise ValueError(f"its ordinates are of type {kind}, not real (2 or 4)")
     widths = WIDTHS[kind, even]
     numbers = list(_fixed(lines[HEADER_LINES:], widths, count * len(widths)))
-    if len(numbers) != count * len(widths) or count < 2:
+    if len(numbers) != count * len(widths):
         raise ValueError(f"it has {len(numbers)} numbers, not {count * len(widths)}")
+    if count < 2:
+        raise ValueError("it has a single sample: at least two are needed")
     table = np.array(numbers, float).reshape(count, len(widths))
     time = np.asarray(begin + step * np.arange(count), float) if even else table[:, 0]
     unit = lines[8][47:67].strip()

@@ -268,7 +268,7 @@ def test_records_of_universal_files_have_names_times_and_units(even: bool):
     for array, same in zip(records_of(short), found[:2], strict=True):
         np.testing.assert_array_equal(array.values, same.values[:2])
     shorter = short.replace(lines[-1], lines[-1][: len(lines[-1]) // 2])
-    with pytest.raises(InputError, match=r"it has [12] numbers"):
+    with pytest.raises(InputError, match="it has a single sample"):
         records_of(shorter.replace(f"{2:10d}{int(even):10d}", f"{1:10d}{int(even):10d}"))
     # Units without a label are those of dataset 164; records may have different times.
     other = "    -1\n   164\n         5mm(milli-newton)\n    -1\n" + text.replace("mV", "  ")
