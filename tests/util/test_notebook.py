@@ -19,7 +19,8 @@ from matplotlib import pyplot
 import lmpchain
 from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
 from lmpchain.measure import contact, energy, front, spectrum
-from lmpchain.measure.fit import fit_bessel, fit_continuum, fit_exponents, fit_modes, fit_parameter
+from lmpchain.measure.fit import fit_bessel, fit_continuum, fit_exponents, fit_modes
+from lmpchain.measure.fit.inverse import ParameterFit
 from lmpchain.measure.fit.overview import summary
 from lmpchain.orbits import normal_mode
 from lmpchain.simulation.planner import Plan
@@ -91,28 +92,12 @@ def test_a_notebook_shows_a_table_and_a_picture(wave: Trajectory, name: str, sai
     assert "\n" not in repr(value)
 
 
-def test_averages_and_fitted_parameters_are_a_line_of_a_hundred_letters():
-    """The line has the values, errors and units."""
-    walls = {"gravity": 0.0, "top": "wall", "bottom": "wall"}
-    beads = SCENE.replace(chain=Chain(grains=4, diameter=1e-3, **walls))
-    beads = beads.replace(excitation=lmpchain.Impulse(velocity=0.1))
-    with pytest.warns(UserWarning, match="velocity:1, temperature, force:2 has only 4"):
-        average = lmpchain.averages(beads, ["velocity:1", "temperature", "force:2"], time=1e-4)
-    assert re.fullmatch(
-        r"Averages\(velocity:1 = \S+ ± \S+ m/s, temperature = \S+ ± \S+ J, 1 more; over 8e-05 s\)",
-        repr(average),
+def test_a_fitted_parameter_is_shown_in_a_line():
+    unused: Any = None
+    fitted = ParameterFit("velocity", 8.01234e-4, 2e-7, unused, unused, 3e-7, SCENE, 7)
+    assert repr(fitted) == (
+        "ParameterFit(velocity = 0.00080123 ± 2e-07 m/s, residual 3e-07, 7 runs)"
     )
-    true = SCENE.replace(excitation=lmpchain.Impulse(velocity=8e-4))
-    fitted = fit_parameter(
-        lmpchain.simulate(true, "native", 1e-9),
-        true.replace(excitation=lmpchain.Impulse(velocity=1e-3)),
-        "velocity",
-        lambda scene: lmpchain.simulate(scene, "native", 1e-9),
-    )
-    assert re.fullmatch(
-        r"ParameterFit\(velocity = 0\.0008\d* ± \S+ m/s, residual \S+, \d+ runs\)", repr(fitted)
-    )
-    assert max(len(repr(average)), len(repr(fitted))) < 110
 
 
 def test_a_chain_of_millions_is_displayed_at_once():
