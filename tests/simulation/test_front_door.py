@@ -630,10 +630,10 @@ def test_batches_fit_into_the_cache():
 
 def test_scenes_with_a_narrow_light_cone_are_solved_alone():
     """If fewer than half of the grains are reached, a batch would compute more."""
-    long = SCENE.replace(chain=CHAIN.replace(grains=400), duration=1e-5)
+    long = SCENE.replace(chain=CHAIN.replace(grains=400), duration=2.4e-4, samples=11)
     reached = long.reached.chain.grains
-    assert 2 * reached < 400
+    assert 2 * reached < 400 < 3 * reached
     assert dict(many.in_batches(Native(), {0: long, 1: long}, 1e-6)) == {}
-    short = SCENE.replace(chain=CHAIN.replace(grains=2 * reached), duration=1e-5)
+    short = long.replace(chain=CHAIN.replace(grains=2 * reached))
     assert set(dict(many.in_batches(Native(), {3: short, 7: short}, 1e-6))) == {3, 7}
     assert dict(many.in_batches(engines.Modes(), {0: SCENE}, 1e-6)) == {}

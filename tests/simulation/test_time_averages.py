@@ -204,8 +204,19 @@ def test_a_short_time_has_no_interval_and_states_the_remedy():
         found = averages(scene, ["equipartition"], time=1e-4, tolerance=1e-2)
     assert found.interval["equipartition"] == (-math.inf, math.inf)
     assert found.variance_interval["equipartition"] == (0.0, math.inf)
+    assert math.isnan(found.correlation_time["equipartition"])
     assert found.to_json()["quantities"]["equipartition"]["interval"] == [None, None]
     assert "unknown" in found.table()
+
+
+def test_a_constant_has_no_variance():
+    """All energy of a single grain is always its own."""
+    alone = Scene(chain=vacuum(1), excitation=Impulse(velocity=1.0), duration=0.01)
+    found = averages(alone, ["equipartition"], time=0.01, tolerance=1e-4)
+    assert (found.mean["equipartition"], found.variance["equipartition"]) == (1.0, 0.0)
+    assert found.variance_interval["equipartition"] == (0.0, 0.0)
+    low, high = found.interval["equipartition"]
+    assert (low + high, high - low) == pytest.approx((2.0, 4 * found.energy_error), rel=1e-9)
 
 
 def test_an_interval_of_the_fewest_batches_is_marked():
