@@ -247,7 +247,7 @@ def _verdict(proposal: Proposal) -> str:
 def _cells(proposal: Proposal) -> Iterator[str]:
     yield _label(proposal)
     yield "" if proposal.equation is None else f"({proposal.equation})"
-    yield "0" if proposal.model_error == 0 else number(proposal.model_error, ".1g")
+    yield number(proposal.model_error, ".1g")
     yield number(proposal.solver_error, ".1g")
     yield str(proposal.active_grains or "")
     yield number(proposal.step, unit="s")

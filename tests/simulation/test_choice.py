@@ -160,27 +160,31 @@ def test_engines_that_start_too_late_are_not_asked():
 
 
 def test_the_table_of_a_plan():
+    choices = {"diameter": "gauge", "why": "it is finer"}
     plan = planner.Plan(
         engine="native", integrator="rkn4", active_grains=10, step=1e-7, expected_error=1e-9,
         expected_cost_s=0.5, why="is best", tolerance=1e-6, damping="it changes little",
         candidates=(
             Proposal("lammps", why="only by name; more is said in JSON"),
             proposal(model=0.5, cost=0.1, why="too far off"),
-            proposal("native", 1, cost=0.7, why="within", integrator="verlet", kept=True),
+            Proposal("bessel", 4, why="cannot do it: bessel needs a strike: give one; and more"),
+            proposal("lammps", 1, cost=0.7, why="within", kept=True, choices=choices),
             proposal("native", 1, cost=0.5, why="within", integrator="rkn4", kept=True),
         ),
     )  # fmt: skip
     assert [" ".join(line.split()) for line in plan.table().splitlines()] == [
         "engine Eq. model solver grains step cost",
         "* native rkn4 (1) 0 1e-09 10 1e-07 s 500 ms",
-        "native verlet (1) 0 1e-09 10 1e-07 s 700 ms",
+        "lammps (1) 0 1e-09 10 1e-07 s 700 ms",
         "lammps",
         "modes (3) 0.5 1e-09 10 1e-07 s 100 ms",
+        "bessel (4)",
         "model and solver: expected errors of the equation and of its solution",
         "native rkn4: kept: within",
-        "native verlet: kept: within",
+        "lammps: kept: within; gauge diameter: it is finer",
         "lammps: dropped: only by name",
         "modes: dropped: too far off",
+        "bessel: needs a strike",
         "native is best",
         "damping: it changes little",
     ]
