@@ -305,12 +305,15 @@ def test_only_files_of_lmpchain_are_replaced(tmp_path: Path):
         assert is_foreign(ours)
 
 
-def test_a_sealed_record_is_read_as_written(tmp_path: Path):
+def test_a_sealed_record_is_read_as_written(tmp_path: Path, monkeypatch: Any):
     path = tmp_path / "store.json"
     record = {"name": "run", "sizes": [1, 2.5], "none": None}
     text = sealed_json(record | {"seal": "an old one"})
     path.write_text(text)
     assert read_sealed_json(path) == record
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "LARGEST_JSON", len(text) - 1)
+        assert read_sealed_json(path) is None
     for other in (text.replace("2.5", "2.6"), "[1]", "{}", text[:-3], "[" * 10**5):
         path.write_text(other)
         assert read_sealed_json(path) is None
