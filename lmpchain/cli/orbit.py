@@ -93,12 +93,10 @@ def _describe(family: Family) -> list[str]:
 
 
 def _picture(family: Family, of: str) -> Figure:
-    from ..util.plotting import COLOURS, PRINTED_WIDTH, figure, letter_panels
+    from ..util.plotting import PRINTED_WIDTH, figure, letter_panels
 
     picture = figure(PRINTED_WIDTH, 3.6)
     first, right = picture.subplots(1, 2)
-    for ax in (first, right):
-        ax.set_prop_cycle(color=list(COLOURS.values()))
     family.plot(first, of)
     family[-1].plot(right)
     letter_panels([first, right])
