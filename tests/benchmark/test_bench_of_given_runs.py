@@ -48,17 +48,8 @@ class Given(Bench):
         if not math.isfinite(error):
             raise RunFailed("it broke down")
         count = len(self.tried)
-        cost = Cost(
-            2.0 + 0.1 / count,
-            1.0 - 0.1 / count,
-            0.5 + 0.1 / count,
-            steps,
-            4 * steps,
-            8,
-            "rkn4",
-            1e-9,
-            1,
-        )
+        times = 2.0 + 0.1 / count, 1.0 - 0.1 / count, 0.5 + 0.1 / count
+        cost = Cost(*times, steps, 4 * steps, 8, "rkn4", 1e-9, 1)
         return SimpleNamespace(cost=cost, error=error, provenance={})
 
     def _row(self, answer: Any) -> ComparisonRow:
@@ -212,3 +203,6 @@ def test_errors_below_the_accuracy_of_the_reference_are_dropped(monkeypatch: pyt
         made = timed(monkeypatch, Given(lambda _, e=error: e))
         points = list(made._points(SimpleNamespace(step=INTERVAL)))
         assert (len(points), made.dropped) == (1 - dropped, dropped)
+    made = timed(monkeypatch, Given(fourth_order(2)))
+    assert min(point.error for point in made.over_steps("native", "rkn4")) >= 1e-15
+    assert made.dropped == 4  # The search then stops, because no point improves.

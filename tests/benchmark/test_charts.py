@@ -1,6 +1,7 @@
 """Data, labels and colours of the charts for given points and trajectories."""
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -242,6 +243,7 @@ def test_the_pareto_front_equals_a_brute_force_search(rng):
         places = front(points)
         assert [points[place] for place in places] == sorted(lead)
         assert len(places) == len(lead)  # Only one of several equal points is listed.
+    assert front([]) == []
 
 
 def test_rows_and_tables_of_given_points():
@@ -312,6 +314,13 @@ def test_lammps_has_its_colour_and_the_rows_are_below(panels: Any):
     assert [text.get_weight() for text in ways.texts] == ["bold", *["normal"] * (len(lines) - 1)]
     assert [line.split()[1:3] for line in lines] == [line.split()[1:3] for line in RESULT.best()]
     assert [line[:5].strip() for line in lines[1:4:2]] == ["10⁻³", "10⁻⁶"]
+    # Columns of raised powers are aligned.
+    start = lines[0].index("engine")
+    assert all(re.fullmatch(r" \S", line[start - 1 : start + 1]) for line in lines)
+    names = panels[0].figure.axes[-2].get_legend().get_texts()
+    assert {text.get_text().replace("\n", " ") for text in names} == {
+        *LEADING, "lammps, verlet", "Pareto front", "others"
+    }  # fmt: skip
     assert {text.get_color() for text in ways.texts if "lammps" in text.get_text()} == {
         COLOURS["vermilion"]
     }
@@ -516,6 +525,11 @@ def test_in_one_set_of_axes_only_the_first_panel_is_drawn():
     ax = figure().subplots()
     assert comparison.plot(ax) is ax
     assert set(lines_of(ax)) == {"reference", "native", "lammps"}
-    axes = RESULT.plot(figure().subplots())
+    # A run to a tolerance is named even if it has a single point.
+    few = replace(CURVES[0], points=CURVES[0].points[:1])
+    axes = replace(RESULT, curves=(few, *CURVES[1:])).plot(figure().subplots())
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert "native, rkn6" in labels
+    assert {"native, to a tolerance", "native, rkn6"} <= set(labels)
+    several = figure().subplots(1, 3)
+    assert RESULT.plot(several, OTHERS) is several[0]
+    assert all(ax.has_data() for ax in several)
