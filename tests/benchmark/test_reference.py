@@ -8,7 +8,8 @@ import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import paper, random_scene, scene_of, smooth, struck
 from helpers.independent_integrators import distance, extended_reference
-from helpers.reference_scenes import path
+from helpers.reference_scenes import KINDS as SCENES
+from helpers.reference_scenes import between
 from helpers.taylor_series import reference as independent_reference
 from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
@@ -24,47 +25,27 @@ GOOD = 2e-15 if EXTENDED else 1e-12
 TIGHT = 1e-18
 
 
-def between(excitation: Any, **keys: Any) -> Scene:
-    """Return a scene of eight glass beads between two walls, unless the options differ."""
-    chain = Chain(**{"grains": 8, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
-    return scene_of(chain, excitation, min(7 * chain.time_scale, 4e-5), 4)
-
-
 def strong(samples: int, duration: float = 4e-5) -> Scene:
     """Return the upper 40 grains of the paper's strongest strike, which opens contacts."""
     fields = paper("fig1").given() | {"chain": column(40)}
     return Scene(**fields | {"duration": duration, "samples": samples})
 
 
-KINDS = {
-    "paper": paper("fig5 g", samples=3),
-    "weak": paper("weak", samples=3),
-    "strong": strong(3),
-    "springs": between(Displacement(displacement=1e-13, grain=2), top_load=1e-4, exponent=1.0),
+KINDS = SCENES | {
     "springs that open": between(
         Displacement(displacement=1e-8, grain=2), top_load=1e-4, exponent=1.0
     ),
-    "exponent": between(
-        Impulse(velocity=-1e-3), top_load=1e-4, exponent=2.3, gravity=0.0, bottom_material="ptfe"
-    ),
-    "pulled": between(Displacement(displacement=-1e-9, grain=2), top="free", exponent=1.3),
-    "just touched by the wall": between(Impulse(velocity=-1e-4)),
-    "vacuum": between(Impulse(velocity=1e-2, grain=4), gravity=0.0, top_material="steel"),
-    "sine": between(Drive(amplitude=1e-8, frequency=3e4), top="free"),
-    "sine in the vacuum": between(
-        Drive(amplitude=1e-7, frequency=2e4), top="free", bottom="free", gravity=0.0
-    ),
-    "path": between(path(3e-9), top="free"),
-    "wall that moves": between(Drive(amplitude=1e-8, frequency=6e4, grain=0), top_load=1e-4),
     "burst of a wall": between(
         Drive(amplitude=1e-8, frequency=9e4, cycles=2, grain=0), top_load=1e-4
     ),
+    "wall that moves": between(Drive(amplitude=1e-8, frequency=6e4, grain=0), top_load=1e-4),
     "burst of a force": between(
         Force(grain=3, amplitude=2e-4, frequency=9e4, cycles=1.5), top_load=1e-4
     ),
     "half a sine": between(
         Force(grain=1, shape="half-sine", amplitude=1e-3, duration=1e-5), top="free"
     ),
+    "pulled": between(Displacement(displacement=-1e-9, grain=2), top="free", exponent=1.3),
     "force through points": between(
         Force(
             grain=2, times=np.arange(9) * 8e-6, force=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * 1e-5
@@ -75,7 +56,7 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", thinned(KINDS, 5))
 def test_the_error_estimate_of_the_reference_holds(kind: str):
-    scene = KINDS[kind]
+    scene = KINDS[kind].replace(duration=KINDS[kind].duration / 4, samples=4)
     truth = reference(scene)
     u, v, itself = extended_reference(scene, TIGHT)
     assert truth.displacement.shape == truth.velocity.shape == (scene.samples, scene.chain.grains)
@@ -107,11 +88,7 @@ def test_scenes_with_damping(rng: np.random.Generator, seed: int):
     assert other.error(truth.displacement, truth.velocity) < truth.error + itself + 2e-16
 
 
-@pytest.mark.parametrize(
-    ("viscosity", "restitution"),
-    [(0.01, 0.977478944277684), (0.05, 0.893193701608472)],
-)
-def test_a_collision_that_loses_energy(viscosity: float, restitution: float):
+def test_a_collision_that_loses_energy():
     """The reference is SciPy's DOP853 at 1e-13 in reduced velocities, with K = m = v = 1."""
     chain = Chain(
         grains=2,
@@ -120,10 +97,10 @@ def test_a_collision_that_loses_energy(viscosity: float, restitution: float):
         contact_constants=[1.0],
         gravity=0.0,
         bottom="free",
-        damping={"viscoelastic": viscosity},
+        damping={"viscoelastic": 0.05},
     )
     truth = reference(struck(chain, 1.0, 9.0, 2))
-    assert np.diff(truth.velocity[-1]) == pytest.approx(restitution, rel=1e-12)
+    assert np.diff(truth.velocity[-1]) == pytest.approx(0.893193701608472, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -156,16 +133,9 @@ def test_a_grain_that_is_thrown_up_falls_back_as_fast():
     assert np.diff(speed) / np.diff(up) == pytest.approx(9.81, rel=1e-11, abs=0)
 
 
-def test_energy_is_conserved_if_contacts_open():
-    scene = strong(21)
-    truth = reference(scene)
-    energy = scene.chain.excess_energy(truth.displacement, truth.velocity)
-    assert energy == pytest.approx(energy[0], rel=1e-14, abs=0)
-
-
 def test_grains_beyond_the_wave_have_no_effect():
     """The chains have 120 and 10,000 grains, with different units of time and length."""
-    short = paper("fig5 g", samples=3)
+    short = paper("fig5 g", samples=3).replace(duration=3e-5)
     long = Scene(**short.given() | {"chain": column(10_000)})
     few = reference(short)
     many = reference(long)
@@ -177,9 +147,9 @@ def test_grains_beyond_the_wave_have_no_effect():
 
 def test_samples_between_steps_are_as_accurate():
     """Samples are exact up to the rounding of their times, which contributes 2e-15."""
-    few, many = (reference(strong(samples, 2e-5)) for samples in (5, 101))
+    few, many = (reference(strong(samples, 1e-5)) for samples in (5, 101))
     assert distance((many.displacement[::25], many.velocity[::25]), few) < 5e-15
-    middle = reference(strong(2, 37 * 2e-7))
+    middle = reference(strong(2, 37 * 1e-7))
     u, v = (x[37:38] for x in (many.displacement, many.velocity))
     assert distance((u, v), (middle.displacement[-1:], middle.velocity[-1:])) < 1e-14
 
@@ -297,8 +267,8 @@ def test_long_scenes_have_a_native_reference(capsys: pytest.CaptureFixture[str])
 
 def on_springs(**chain):
     """Return a strong strike on a chain of springs that may open, on springs to the ground."""
-    made = column(8, gravity=9.81, exponent=1, ground=Law("k*u", k=1e5), **chain)
-    return scene_of(made, Impulse(velocity=1e-3), 15 * made.time_scale, 4)
+    made = column(4, gravity=9.81, exponent=1, ground=Law("k*u", k=1e5), **chain)
+    return scene_of(made, Impulse(velocity=1e-3), 10 * made.time_scale, 2)
 
 
 def test_scipy_meets_springs_that_open_and_are_viscous():
@@ -311,8 +281,8 @@ def test_scipy_meets_springs_that_open_and_are_viscous():
 
 
 def test_scipy_finds_the_largest_motion_between_samples():
-    scene = on_springs().replace(excitation=Displacement(displacement=1e-10, grain=4))
-    dense = simulate(scene.replace(samples=3001), "native", tolerance=1e-9)
+    scene = on_springs().replace(excitation=Displacement(displacement=1e-10, grain=3))
+    dense = simulate(scene.replace(samples=801), "native", tolerance=1e-9)
     exact = reference(scene)
     largest = np.abs(dense.displacement).max(), np.abs(dense.velocity).max()
     assert exact.scale == pytest.approx(largest, rel=0.01)
