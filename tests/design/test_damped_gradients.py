@@ -1,6 +1,6 @@
 """Gradients of damped chains against differences of independent solutions.
 
-The solutions are Taylor series in extended precision. Adjoints are compared with tangents.
+The solutions are Taylor series in extended precision.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ import pytest
 from helpers import taylor_series
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene
 from lmpchain.design import (
     ArrivalTime,
     DriveWork,
@@ -23,10 +23,6 @@ from lmpchain.design import (
     parameters,
 )
 from lmpchain.design.parameters import changed
-from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
-from lmpchain.integrators.stepper import NativeStepper
-from lmpchain.integrators.steps import Steps
 
 GRAINS = 6
 DAMPING = {"viscoelastic": 1e-7, "drag": 3e3}
@@ -127,42 +123,6 @@ def test_gradients_agree_with_differences_of_taylor_series(name: str):
         assert abs(found[key][entry] - difference(answer, step)) <= allowed, key
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_adjoints_agree_with_tangents(rng: np.random.Generator, name: str):
-    case = SCENES[name]
-    everyone = np.arange(1, GRAINS + 1)
-    step = 0.5 / case.highest_frequency
-    run = differentiable(case, DIFFERENTIABLE["dop853"], step, 4, everyone)
-    weights = rng.standard_normal((2, *run.velocity.shape))
-    weights[0] *= case.highest_frequency
-    inputs = run.pull(*weights)
-    for key in known(case):
-        back = parameters.pull(case, inputs, key)
-        u, v = run.push(parameters.push(case, key, np.eye(back.size)))
-        along = (weights[0] * u).sum((1, 2)) + (weights[1] * v).sum((1, 2))
-        assert np.abs(along - back).max() <= 1e-11 * np.abs(back).max(), key
-
-
-def test_adjoints_of_long_chains_agree_with_tangents(rng):
-    """Long runs with growing windows and several pieces."""
-    start = np.zeros(600)
-    start[:5] = 1e-2 * rng.uniform(0.5, 1, 5)
-    chain = Chain(grains=600, diameter=1e-3, damping=DAMPING)
-    case = Scene(chain=chain, excitation=Profile(velocity=start), duration=1e-4)
-    step = 0.5 / case.highest_frequency
-    run = differentiable(case, DIFFERENTIABLE["dop853"], step, 20, np.array([1, 40, 90]))
-    weights = rng.standard_normal((2, *run.velocity.shape))
-    weights[0] *= case.highest_frequency
-    for everywhere in (False, True):
-        inputs = run.pull(*weights, everywhere)
-        for key in ("masses", "contact_constants", "damping.viscoelastic", "damping.drag"):
-            back = parameters.pull(case, inputs, key)
-            change = rng.standard_normal((1, back.size))
-            u, v = run.push(parameters.push(case, key, change))
-            terms = np.array([weights[0] * u[0], weights[1] * v[0]])
-            assert abs(terms.sum() - change[0] @ back) <= 1e-12 * np.abs(terms).sum(), key
-
-
 @pytest.mark.parametrize(
     ("name", "objective"),
     [
@@ -251,26 +211,3 @@ def test_unsupported_gradients_of_damped_chains_are_rejected():
     far = scene(Drive(amplitude=1e-6, frequency=2e5))
     with pytest.raises(InputError, match="DriveWork needs a viscous contact that stays closed"):
         gradient(far, DriveWork(), ["masses"])
-
-
-def test_given_steps_are_those_of_the_engine():
-    case = SCENES["contacts that open"]
-    method = DIFFERENTIABLE["dop853"]
-    step = 0.5 / case.highest_frequency
-    held = differentiable(case, method, step, 4, np.array([1]), adaptive=True)
-    assert held.time.size == 5
-    interval = case.duration / 4
-    count = int(np.ceil(interval / step))
-    schedule = Steps(count, 1, interval / count, True)
-    run = NativeStepper(ChainBatch([case.replace(samples=5)]), method, schedule, {})
-    u, v = np.zeros((2, 1, 5, GRAINS))
-    lengths = []
-    while run.sample < 4:
-        before = run.watched["done"][0]
-        run.fill(u, v, 0, 4, 1)
-        lengths.append((run.watched["done"][0] or interval) - before)
-    assert held.steps == len(lengths)
-    assert held.step == max(lengths)
-    np.testing.assert_array_equal(held.displacement[:, 0], u[0, :, 0])
-    np.testing.assert_array_equal(held.velocity[1:, 0], v[0, 1:, 0])
-    assert len(lengths) > 4 * count

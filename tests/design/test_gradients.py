@@ -15,12 +15,10 @@ from lmpchain.design import (
     PeakForce,
     Traces,
     gradient,
-    parameters,
 )
 from lmpchain.design.gradients import at_step
 from lmpchain.design.unknowns import Problem
 from lmpchain.errors import RunFailed
-from lmpchain.integrators.adjoint import DifferentiableRun, economise
 from lmpchain.integrators.methods import SPLITTINGS
 
 
@@ -61,60 +59,6 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
         if name == "velocity":
             true[-1] = 0
         np.testing.assert_allclose(gradients[name], true, rtol=0, atol=1e-12 * np.abs(true).max())
-
-
-@pytest.mark.parametrize(
-    ("velocity", "struck", "options"),
-    [
-        (1e-2, 1, {}),
-        (1e-2, 899, {}),
-        (1e-2, 899, {"top_load": 1.0}),
-        (1.8e-2, 1, {"top_load": 1.0}),
-        (3e-4, 899, {"top_load": 1.0}),
-        (1e-4, 899, {"top_load": 1.0}),
-        (1e-9, 1, {}),
-        pytest.param(1e-9, 899, {"exponent": 1.05}, marks=pytest.mark.slow),
-        (1e-8, 1, {"exponent": 2.5}),
-        (1e-6, 899, {"exponent": 2.5}),
-        (1e-2, 1, {"gravity": 0}),
-        (1e-2, 10, {"gravity": 0}),
-        (1e-2, 1, {"gravity": 0, "exponent": 2.5}),
-    ],
-)
-def test_adjoints_of_long_chains_agree_with_tangents(
-    rng: np.random.Generator, velocity: float, struck: int, options: dict[str, float]
-):
-    """Windows grow or form tiles, for every law and both ways of undoing rows."""
-    start = np.zeros(900)
-    start[:struck] = velocity * rng.uniform(0.5, 1, struck)
-    scene = scene_of(Chain(grains=900, diameter=1e-3, **options), Profile(velocity=start), 2e-4)
-    run = DifferentiableRun(
-        scene,
-        SPLITTINGS["rkn4"],
-        0.3 / scene.highest_frequency,
-        20,
-        np.array([1, 2, 150, 400, 800]),
-    )
-    weights = rng.standard_normal((2, *run.velocity.shape))
-    weights[0] *= scene.highest_frequency
-    inputs = run.pull(*weights)
-    for name in ("masses", "contact_constants", "velocity"):
-        back = parameters.pull(scene, inputs, name)
-        change = np.zeros((1, back.size))
-        change[0, :-1] = rng.standard_normal(back.size - 1)
-        u, v = run.push(parameters.push(scene, name, change))
-        terms = np.array([weights[0] * u[0], weights[1] * v[0]])
-        assert abs(terms.sum() - change[0] @ back) <= 1e-12 * np.abs(terms).sum(), name
-
-
-@pytest.mark.parametrize("exponent", [0.05, 0.5, 0.75, 1.0, 1.5, 2.0])
-@pytest.mark.parametrize(("reach", "terms"), [(0.0, 4), (1e-5, 4), (1e-4, 4), (1e-3, 6), (5e-3, 6)])
-def test_few_terms_give_every_digit_of_weak_waves(exponent: float, reach: float, terms: int):
-    found = economise(exponent, reach)
-    s = np.linspace(-1, 1, 42, dtype=np.longdouble) * max(reach, 1e-15)
-    true = np.expm1(exponent * np.log1p(s)) / s
-    assert found.size == terms or exponent in (1.0, 2.0)  # Fewer terms are exact.
-    assert np.abs(np.polynomial.polynomial.polyval(s, found) - true).max() < 3e-16 * exponent
 
 
 @pytest.mark.parametrize("exponent", [1.5, 1.8])

@@ -338,15 +338,22 @@ def test_invalid_places_and_values_are_rejected():
 
 def test_a_table_of_numbers_needs_two_complete_lines(tmp_path: Path):
     path = tmp_path / "scope.csv"
-    path.write_text("0.0,1.0,\n1e-6,2.0\n4e-6,5.0,\n")
-    traces = Traces.from_csv(path, [4])
-    np.testing.assert_array_equal(traces.time, [0.0, 1e-6, 4e-6])
-    np.testing.assert_array_equal(traces.values, [[1.0], [2.0], [5.0]])
-    path.write_text("0.0,1.0\n")
-    with pytest.raises(InputError, match="needs two lines of numbers: time, velocity_4"):
-        Traces.from_csv(path, [4])
+    path.write_text("Source;CH1\ntime,CH1,CH2\n0.0,1e-3,2\n1e-6,2e-3,3,\n\n2e-6,3e-3,4\n")
+    traces = Traces.from_csv(path, [1, 5], field="force", noise=0.1)
+    np.testing.assert_array_equal(traces.time, [0, 1e-6, 2e-6])
+    np.testing.assert_array_equal(traces.values, [[1e-3, 2], [2e-3, 3], [3e-3, 4]])
+    assert (traces.field, traces.noise) == ("force", 0.1)
+    for text, message in (
+        ("", "no table of numbers"),
+        ("a,b\n1,2\n", "needs two lines of numbers: time, velocity_4"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=message):
+            Traces.from_csv(path, [4])
     path.write_text("0.0,1.0\n0.5,2.0\n")
     assert Traces.from_csv(path, [4]).time.size == 2
+    with pytest.raises(InputError, match="No such file"):
+        Traces.from_csv(tmp_path / "none.csv", [1])
 
 
 def test_a_scene_must_reach_to_the_last_value():

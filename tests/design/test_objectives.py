@@ -22,7 +22,6 @@ from lmpchain.design import (
 )
 from lmpchain.design.gradients import at_step
 from lmpchain.engines import Native
-from lmpchain.integrators.adjoint import CHECKPOINTS, DifferentiableRun
 from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.measure.energy import shares
 
@@ -154,23 +153,11 @@ def test_error_estimates_cover_the_errors(case: str):
 def test_a_peak_is_a_maximum():
     found = gradient(STRUCK, PeakForce(3, sharpness=1000), ["top_load"], 1e-4)
     dense = STRUCK.replace(samples=4001)
-    run = DifferentiableRun(dense, SPLITTINGS["rkn6"], 1e-8, 4000, np.arange(1, 9))
+    run = simulate(dense, "native", 1e-9)
     contacts = dense.chain.contacts
     force = contacts.force_at(contacts.overlap + contacts.closer(run.displacement))[:, 3]
     assert found.value == pytest.approx(force.max(), rel=1e-3)
     assert found.value < force.max()
-
-
-def test_checkpoints_do_not_change_results(monkeypatch: pytest.MonkeyPatch):
-    method = SPLITTINGS["rkn4"]
-    names = ["masses", "contact_constants"]
-    _, whole, run = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
-    small = CHECKPOINTS._replace(kept_bytes=0)
-    monkeypatch.setattr("lmpchain.integrators.adjoint.CHECKPOINTS", small)
-    _, parts, again = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
-    assert len(again._pieces[0]) > len(run._pieces[0])
-    for name in names:
-        np.testing.assert_allclose(parts[name], whole[name], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, InputError, Profile, Scene
-from lmpchain.design import Momentum, optimisation, optimise
+from lmpchain.design import Momentum, optimise
 from lmpchain.design.optimisation import fingerprint
 from lmpchain.design.parameters import changed, values
 
@@ -38,35 +38,6 @@ def test_an_optimum_is_as_flat_as_its_value_is_exact(tolerance: float):
     found = optimise(**TASK, tolerance=tolerance)
     assert abs(found.values["masses"][1] / 3e-3 - 1) < np.sqrt(tolerance / (3 / 16))
     assert found.value == pytest.approx(9e-3 / 4, rel=tolerance)
-
-
-@pytest.mark.slow
-def test_the_middle_ball_has_the_geometric_mean_of_the_masses():
-    found = optimise(**TASK | {"starts": 2}, tolerance=1e-7)
-    np.testing.assert_allclose(found.values["masses"], [1e-3, 3e-3, 9e-3], rtol=1e-4)
-    assert found.value == pytest.approx(9e-3 * 4 * 3 / (4 * 12), rel=1e-7)
-    assert len(found.history) == 2
-    assert found.scene.chain.masses[1] == found.values["masses"][1]
-
-
-@pytest.mark.slow
-def test_finished_starts_are_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    task = TASK | {"starts": 3}
-    whole = optimise(**task)
-    descend = optimisation._descend
-    done = []
-
-    def two_of_them(*arguments):
-        if len(done) == 2:
-            raise KeyboardInterrupt
-        done.append(1)
-        return descend(*arguments)
-
-    with monkeypatch.context() as stopped:
-        stopped.setattr(optimisation, "_descend", two_of_them)
-        with pytest.raises(KeyboardInterrupt):
-            optimise(**task, folder=tmp_path)
-    assert optimise(**task, folder=tmp_path).value == whole.value
 
 
 LIMIT = 2e-3
@@ -98,6 +69,8 @@ def test_a_folder_is_of_one_task_constraints_included(
         {"runs": 13},
         {"seed": 1},
         {"maximise": False},
+        {"starts": 2},
+        {"bounds": {"masses": (1e-4, 1e-2)}},
     ]
     for change in others:
         with pytest.raises(InputError, match="to another task: use another folder"):

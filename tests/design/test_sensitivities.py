@@ -11,9 +11,7 @@ from helpers.example_scenes import scene_of
 from lmpchain import Impulse, InputError, Profile, simulate
 from lmpchain.cli import main
 from lmpchain.design import KineticEnergy, PeakForce, gradient, sensitivity
-from lmpchain.design.gradients import at_step
 from lmpchain.design.parameters import changed, values
-from lmpchain.integrators.methods import SPLITTINGS
 
 VACUUM = scene_of(column(12, gravity=0.0, bottom="wall"), Impulse(velocity=0.1), 6e-5, 31)
 
@@ -66,56 +64,22 @@ def test_an_uncertainty_is_the_scatter_of_random_chains(rng):
 
 
 @pytest.mark.slow
-def test_drawn_chains_show_the_error_of_first_order():
-    share = 3e-3
-    found = sensitivity(VACUUM, "peak_force:6", {"diameters": share})
-    rng = np.random.default_rng(4)
-    diameters = values(VACUUM, "diameters")
-    answers = []
-    for _ in range(600):
-        other = changed(VACUUM, {"diameters": diameters * (1 + share * rng.standard_normal(12))})
-        answers.append(
-            at_step(other, PeakForce(6), (), SPLITTINGS["rkn4"], found.gradient.step_s)[0]
-        )
-    true = np.std(answers)
-    assert found.deviation < 0.95 * true
-    assert found.scatter == pytest.approx(true, rel=0.1)
-    assert found.shift == pytest.approx(np.mean(answers) - found.value, abs=0.25 * true)
-
-
-@pytest.mark.slow
 def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    simulate(VACUUM, tolerance=1e-6).save(tmp_path / "run.nc")
+    simulate(DAMPED.replace(duration=3e-5), tolerance=1e-6).save(tmp_path / "run.nc")
     picture = tmp_path / "along.png"
     numbers = tmp_path / "numbers.json"
-    wanted = [
-        "sensitivity",
-        str(tmp_path / "run.nc"),
-        "--answer",
-        "energy:3-9",
-        "--sigma-diameter",
-        "0.01",
-    ]
-    assert main([*wanted, "-o", str(picture), "--json", str(numbers)]) == 0
+    wanted = ["sensitivity", str(tmp_path / "run.nc"), "--answer", "energy:3-9"]
+    uncertain = ["--sigma-diameter", "0.01", "--sigma-viscoelastic", "0.1", "--sigma-drag", "0.1"]
+    assert main([*wanted, *uncertain, "-o", str(picture), "--json", str(numbers)]) == 0
     said = capsys.readouterr().out
     assert "energy:3-9" in said
-    assert "by the uncertainty of diameters" in said
+    for name in ("diameters", "damping.viscoelastic", "damping.drag"):
+        assert f"by the uncertainty of {name}" in said
     assert "to first order" in said
     assert "by 32 random chains" in said
     assert picture.stat().st_size > 1000
     kept = json.loads(numbers.read_text())
     assert len(kept["derivatives"]["diameters"]) == 12
-
-
-@pytest.mark.slow
-def test_the_command_supports_damping(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    scene = DAMPED.replace(duration=3e-5)
-    scene.to_toml(tmp_path / "scene.toml")
-    wanted = ["sensitivity", str(tmp_path / "scene.toml"), "--of", "momentum:3"]
-    assert main([*wanted, "--sigma-viscoelastic", "0.1", "--sigma-drag", "0.1"]) == 0
-    said = capsys.readouterr().out
-    assert "by the uncertainty of damping.viscoelastic" in said
-    assert "by the uncertainty of damping.drag" in said
 
 
 @pytest.mark.parametrize(
