@@ -77,7 +77,7 @@ class Case(NamedTuple):
     ground: Callable[[Any, Values], Any]
     values: Values
     strike: float = 0.1
-    steps: int = 40
+    steps: int = 20
     viscosity: float = 0.0
 
     @property

@@ -21,7 +21,9 @@ from lmpchain.design import (
     parameters,
 )
 from lmpchain.design.gradients import at_step
+from lmpchain.design.parameters import changed
 from lmpchain.engines import Native
+from lmpchain.integrators.differentiation import method_for
 from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.measure.energy import shares
 
@@ -43,6 +45,7 @@ DRIVEN = STRUCK.replace(
     ),
 )
 BETWEEN_WALLS = STRUCK.chain.replace(top="wall")
+DAMPED = {"damping": {"viscoelastic": 1e-7, "drag": 3e3}}
 VACUUM = STRUCK.replace(
     chain=STRUCK.chain.replace(top_load=0.0, gravity=0.0), excitation=Impulse(velocity=0.1)
 )
@@ -61,6 +64,8 @@ OBJECTIVES = {
     "misfit": (STRUCK, Misfit([3, 6], np.full((9, 2), 1e-3), scale=1e-4)),
     "misfit of displacements": (STRUCK, Misfit([3], np.full((9, 1), 1e-9), "displacement", 1e-9)),
     "work": (DRIVEN, DriveWork()),
+    "peak force with damping": (STRUCK.replace(chain=STRUCK.chain.replace(**DAMPED)), PeakForce(3)),
+    "work with damping": (DRIVEN.replace(chain=STRUCK.chain.replace(**DAMPED)), DriveWork()),
     "work against a wall": (DRIVEN.replace(chain=BETWEEN_WALLS), DriveWork()),
     "function": (DRIVEN, Function(square, [1, 4])),
 }
@@ -70,10 +75,9 @@ OBJECTIVES = {
 def test_objectives_have_the_derivatives_that_differences_show(rng: np.random.Generator, case: str):
     scene, objective = OBJECTIVES[case]
     names = ["masses", "contact_constants"] + ["drive"] * (scene.drive is not None)
-    if scene.chain.compressed:
-        names.append("top_load")
-    method = SPLITTINGS["rkn4"]
-    chain = scene.chain
+    names += ["top_load"] * scene.chain.compressed
+    names += ["damping.viscoelastic", "damping.drag"] * scene.chain.damped
+    method = method_for(scene, names, "rkn4")
     _, gradients, _ = at_step(scene, objective, names, method, 2e-7)
     step = 1e-5
     for name in names:
@@ -83,15 +87,7 @@ def test_objectives_have_the_derivatives_that_differences_show(rng: np.random.Ge
             along[0] = 0  # The change starts with 0.
         values = []
         for sign in (-2, -1, 1, 2):
-            changed: Any = base + sign * step * along
-            if name == "drive":
-                other = scene.replace(excitation=scene.excitation.replace(displacement=changed))
-            else:
-                other = scene.replace(
-                    chain=chain.replace(
-                        **{name: float(changed[0]) if name == "top_load" else changed}
-                    )
-                )
+            other = changed(scene, {name: base + sign * step * along})
             values.append(at_step(other, objective, [name], method, 2e-7)[0])
         slope = (8 * (values[2] - values[1]) - (values[3] - values[0])) / (12 * step)
         assert gradients[name] @ along == pytest.approx(
