@@ -28,7 +28,6 @@ from lmpchain import (
 )
 from lmpchain.cli.command_line import main
 from lmpchain.disorder.averages import at_the_end, disordered, ensemble, factors, realisation
-from lmpchain.measure.dyson import relative_stiffness, sums
 
 
 def weakly_struck(
@@ -352,8 +351,8 @@ def test_failing_ensembles_state_the_reason():
     scene = weakly_struck(grains=10, tau=20.0, speed=1.0)
     with pytest.raises(RunFailed, match="shorter step"):
         ensemble(scene, 5, 2, seed=1, engine=engines.Native(integrator="verlet", step=2e-6))
-    with pytest.raises(ToleranceNotMet):
-        ensemble(weakly_struck(), 5, 2, seed=1, tolerance=1e-17)
+    with pytest.raises(ToleranceNotMet, match=r"^in chains 1 to 5 "):
+        ensemble(weakly_struck(), 5, 5, seed=1, tolerance=1e-17)
     drawn = Displacement(displacement=1e-12)
     loose = scene_of(column(5, top="wall"), drawn, 1e-5)
     with pytest.raises(InputError, match=r"^top: a wall that only touches"):
@@ -436,8 +435,6 @@ def test_metadata_of_averages():
     ]
     mean = np.mean([t.velocity for t in alone], axis=0)
     assert found.velocity == pytest.approx(mean, rel=0, abs=1e-15 * np.abs(mean).max())
-    with pytest.raises(ToleranceNotMet, match=r"^in chains 1 to 5 "):
-        ensemble(weakly_struck(), 5, 5, seed=1, tolerance=1e-17)
     with pytest.raises(
         InputError,
         match=r"^engine: must be one of native, modes, chebyshev for random chains \(got 'bes",
@@ -477,17 +474,6 @@ SUMS = {
 }
 
 
-def test_relative_stiffness():
-    paper = relative_stiffness(column(60))
-    assert paper == pytest.approx(np.arange(1, 61) ** (1 / 3), rel=1e-13)
-    load = {"gravity": 0, "top_load": 1e-3, "grains": 7, "diameter": 1e-3}
-    assert relative_stiffness(Chain(**load)) == pytest.approx(np.ones(7), rel=1e-13)
-    # K of a wall is sqrt(2) times as large, and the stiffness is proportional to K^(2/3).
-    assert relative_stiffness(Chain(bottom="wall", **load))[-1] == pytest.approx(
-        2 ** (1 / 3), rel=1e-13
-    )
-
-
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
     path = tmp_path / "run.nc"
@@ -525,42 +511,18 @@ def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_dyson_in_m_per_s_without_files(saved: Path, capsys: pytest.CaptureFixture[str]):
-    chain = column(12)
-    pulled = Displacement(displacement=-1e-16, grain=3)
-    everything_that_moves = scene_of(chain, pulled, 1e-5, 3, grains="1:11")
-    simulate(everything_that_moves, "modes").save(saved)
-    assert main(["dyson", str(saved), "--m", "2", "--realisations", "3", "--seed", "0"]) == 0
-    assert "velocities in m/s" in capsys.readouterr().out
-    assert [path.name for path in saved.parent.iterdir()] == ["run.nc"]
-
-
-def test_lines_of_the_picture_differ_in_colour_and_dash():
-    scene = weakly_struck()
-    orders = [float(m) for m in range(1, 11)]
-    found = sums(simulate(scene, "modes"), orders)
-    few = [ensemble(scene, m, 2, seed=1) for m in orders]
-    true, weighted = found.plot(found.velocity[-1], few).figure.axes
-    lines = [line for line in weighted.lines if line.get_label().startswith("m = ")]
-    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 10
-    assert "v_0" in true.get_ylabel()
-    assert weighted.get_xlabel() == "grain number n, from the top"
-
-
-@pytest.mark.parametrize(
-    ("options", "key"),
-    [([f"--m={text}"], "m") for text in ("0", "-1", "1,nan", "inf", "1,a", "", "1,,2")]
-    + [
+def test_dyson_with_invalid_options(saved: Path, capsys: pytest.CaptureFixture[str]):
+    for options, key in (
+        (["--m=0"], "m"),
+        (["--m="], "m"),
         (["--m", "1", "--realisations", "1"], "realisations"),
-        (["--m", "1", "--realisations", "many"], "--realisations:"),
+        (["--m", "1", "--realisations", "many"], "--realisations"),
         (["--m", "1", "--seed=-1"], "seed"),
         ([], "arguments"),
         (["--m", "1", "--scene", "none.toml"], "scene"),
-    ],
-)
-def test_dyson_with_invalid_options(options, key, saved: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["dyson", str(saved), *options]) == 2
-    assert keys(capsys.readouterr()) == [key.rstrip(":")]
+    ):
+        assert main(["dyson", str(saved), *options]) == 2
+        assert keys(capsys.readouterr()) == [key]
 
 
 def test_unsuitable_runs_for_dyson_are_rejected(saved: Path, capsys: pytest.CaptureFixture[str]):

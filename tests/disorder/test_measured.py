@@ -17,24 +17,6 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=2e-4, sam
 SHORT = SCENE.replace(chain=CHAIN.replace(grains=4), duration=1e-6, samples=2)
 
 
-@pytest.mark.slow
-def test_intervals_cover_mean_and_quantiles(rng: np.random.Generator) -> None:
-    """At least 95 % of the intervals of 2000 ensembles contain the true value."""
-    law = stats.gamma(5, scale=0.2)
-    covers = np.zeros((2000, 4), bool)
-    for row in covers:
-        values = law.rvs((40, 2), random_state=rng)
-        found = MeasuredEnsemble(values, None, 0.0, 0.0)
-        low, high = found.interval
-        row[0] = low[1] <= law.mean() <= high[1]
-        for number, share in enumerate((0.1, 0.5, 0.9), 1):
-            low, high = found.quantile_interval(share)
-            row[number] = low[1] <= law.ppf(share) <= high[1]
-    mean, *quantiles = covers.mean(0)
-    assert 0.94 < mean < 0.96
-    assert all(0.945 < covered < 0.995 for covered in quantiles)
-
-
 @pytest.mark.parametrize("chains", [10, 30, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [stats.uniform(), stats.gamma(2), stats.expon()])
 def test_intervals_cover_the_mean_of_skewed_laws(law: Any, chains: int) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of, struck
+from helpers.example_scenes import scene_of, struck_in_units
 from scipy.special import j0, jv, jvp
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
@@ -110,14 +110,6 @@ def test_means_and_errors(of):
     with pytest.raises(InputError, match=r"^start: must leave three samples or more up to the end"):
         found.growth(begin, case.time[2])
     assert found.growth(begin, case.time[3])[1] > 0
-
-
-@pytest.mark.slow
-def test_the_error_of_the_growth_is_its_scatter():
-    case = scene(grains=31, tau=7.0, samples=7)
-    several = [spreading(case, 3, 32, seed) for seed in range(30)]
-    growth, error = np.array([each.growth(case.time[2]) for each in several]).T
-    assert np.std(growth, ddof=1) == pytest.approx(np.sqrt((error**2).mean()), rel=0.35)
 
 
 def test_memory_does_not_grow_with_the_number_of_chains():
@@ -225,9 +217,4 @@ def test_metadata_of_spreading():
     largest = max(t.error_estimate.solver for t in alone)
     assert found.solver_error == pytest.approx(largest, rel=0.3)  # Only rounding.
     assert found.squeezed == 0
-    assert spreading(column_of_soft_contacts(), 0.05, 20, 1).squeezed == 20
-
-
-def column_of_soft_contacts() -> Scene:
-    chain = column(40)
-    return struck(chain, 1e-12, 2 * chain.time_scale, 3)
+    assert spreading(struck_in_units(column(40), 1e-6, 2.0, 3), 0.05, 20, 1).squeezed == 20
