@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -525,11 +526,14 @@ def test_in_one_set_of_axes_only_the_first_panel_is_drawn():
     ax = figure().subplots()
     assert comparison.plot(ax) is ax
     assert set(lines_of(ax)) == {"reference", "native", "lammps"}
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels == ["reference", "native", "lammps"]
     # A run to a tolerance is named even if it has a single point.
     few = replace(CURVES[0], points=CURVES[0].points[:1])
     axes = replace(RESULT, curves=(few, *CURVES[1:])).plot(figure().subplots())
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     assert {"native, to a tolerance", "native, rkn6"} <= set(labels)
-    several = figure().subplots(1, 3)
-    assert RESULT.plot(several, OTHERS) is several[0]
-    assert all(ax.has_data() for ax in several)
+    for plot in (comparison.plot, partial(RESULT.plot, others=OTHERS)):
+        several = figure().subplots(1, 3)
+        assert plot(several) is several[0]
+        assert all(ax.lines for ax in several)

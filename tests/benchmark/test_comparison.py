@@ -9,10 +9,9 @@ import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, smooth, struck
 
-from lmpchain import Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain import Impulse, InputError, Profile, Trajectory, simulate
 from lmpchain.benchmark.comparison import compare, error, error_over_time, errors
 from lmpchain.benchmark.reference import Reference, expected_seconds, reference
-from lmpchain.util.plotting import figure
 
 
 def test_the_reference_starts_where_the_scene_does():
@@ -41,15 +40,11 @@ def test_a_chain_without_excitation_stays_at_rest():
 
 def test_a_long_scene_is_expected_to_take_longer():
     short = smooth()
-    long = replace_scene(smooth(), duration=1e6 * smooth().duration)
+    long = short.replace(duration=1e6 * short.duration)
     large = scene_of(column(10**5), Impulse(velocity=1e-6), 1e-2, 2)
     assert 0 < expected_seconds(short) < 1
     assert expected_seconds(long) > 1e3
     assert expected_seconds(large) > 60
-
-
-def replace_scene(scene: Scene, **changes: Any) -> Scene:
-    return Scene(**scene.given() | changes)
 
 
 # --- errors of trajectories made by hand
@@ -165,16 +160,6 @@ def test_json_has_the_documented_form_without_nan():
 
 
 # --- the picture
-
-
-def test_a_picture_in_axes_of_the_user():
-    answer, truth = made_up()
-    mine = figure()
-    axes = mine.subplots(1, 3)
-    assert compare([answer], truth).plot(axes) is axes[0]
-    assert all(ax.lines for ax in axes)
-    named = [text.get_text() for text in axes[0].get_legend().get_texts()]
-    assert named == ["reference", answer.engine]
 
 
 def test_a_picture_of_a_chain_at_rest():

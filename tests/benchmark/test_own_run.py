@@ -15,12 +15,9 @@ from helpers.thinned import thinned
 import lmpchain
 from lmpchain import (
     Damping,
-    Displacement,
-    Drive,
     Force,
     Impulse,
     InputError,
-    Packet,
     Scene,
     check,
     check_deck,
@@ -31,8 +28,6 @@ from lmpchain.benchmark.reference import expected_seconds, reference
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
 from lmpchain.engines.lammps.column import LammpsColumn
-from lmpchain.engines.lammps.deck import write_data
-from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.integrators.methods import METHODS
 from lmpchain.measure import front
@@ -221,53 +216,6 @@ def test_damped_dumps_and_decks(integrator: str, pair_style: str, tmp_path: Path
     assert before.error == pytest.approx(found.error, rel=1e-3)
 
 
-def test_atoms_of_another_style_are_rejected(tmp_path: Path, monkeypatch):
-    scene = small(damping=Damping(viscoelastic=2e-7))
-    write_deck(scene, tmp_path, step=1e-7)
-    monkeypatch.setattr(LammpsColumn, "predicts", False)
-    write_data(LammpsColumn(scene, 0.0), tmp_path / "column.data")
-    monkeypatch.undo()
-    with pytest.raises(InputError, match="does not have the header"):
-        read_deck(tmp_path)
-
-
-DRIVEN = {"gravity": 0.0, "top_load": 2.0}
-DECKS = {
-    "impulse": small(),
-    "dimer": small(Impulse(velocity=1e-3, grain=3), diameter=[1e-3, 2e-3] * 12 + [1e-3]),
-    "displacement": small(Displacement(displacement=1e-9, grain=4), bottom="wall"),
-    "packet": small(Packet(frequency=2e4, width=1.5, grain=12, amplitude=1e-10)),
-    "burst": small(Force(grain=3, amplitude=1e-3, frequency=1e5, cycles=2), bottom="wall"),
-    "hammer": small(Force(grain=1, shape="half-sine", amplitude=1e-2, duration=1e-5)),
-    "drive": small(Drive(amplitude=1e-8, frequency=5e4), **DRIVEN),
-    "wall": small(Drive(grain=0, amplitude=1e-8, frequency=5e4, cycles=3), top="wall", **DRIVEN),
-    "linear": small(exponent=1.0, top_load=0.5),
-    "damped": small(damping=Damping(viscoelastic=1e-8, drag=50.0)),
-    "dragged": small(damping=Damping(drag=50.0), diameter=[1e-3, 2e-3] * 12 + [1e-3]),
-    "vacuum": VACUUM,
-    "striker": small(load_grain=2, bottom="wall", **DRIVEN),
-}
-
-
-@pytest.mark.parametrize("name", DECKS)
-def test_a_deck_contains_its_scene(name: str, tmp_path: Path):
-    scene = DECKS[name]
-    write_deck(scene, tmp_path, step=1e-7)
-    deck = read_deck(tmp_path)
-    assert (deck.integrator, deck.gauge, deck.digits) == ("verlet", 0.0, 17)
-    assert deck.step == pytest.approx(1e-7, rel=1e-12)
-    assert deck.scene.time == pytest.approx(scene.time, rel=1e-12)
-    read = simulate(deck.scene, "native", 1e-9)
-    true = simulate(scene, "native", 1e-9)
-    # Heights in LAMMPS limit the accuracy of overlaps at rest, which determine the effect of a
-    # drive.
-    loose = 1e-6 if name in ("drive", "wall") else 1e-10
-    for field in ("displacement", "velocity"):
-        answer = getattr(true, field)
-        off = np.abs(getattr(read, field) - answer).max()
-        assert off < (1e-5 if name in ("displacement", "packet") else loose) * np.abs(answer).max()
-
-
 @pytest.mark.parametrize(
     "options",
     thinned(
@@ -315,55 +263,6 @@ def test_a_step_beyond_the_stability_limit_is_named(tmp_path: Path, capsys):
     assert f"5e-06 s is beyond the stability limit of {found.limit_s:.3g} s" in said
 
 
-EDITS = [
-    ("index 9.81", "index 9.0", r"column.data: .* overlap by"),
-    (r"fix +motion mobile nve", "fix motion mobile nve/limit 1e-9", r"line \d+ .*nve/limit"),
-    (r"\nfix +weight.*", "", r"is not `fix weight"),
-    (r"\ntimestep.*", "\ntimestep $(v_dt/2)", r"line \d+ \(timestep .* contains no number"),
-    (r"\nrun .*", "\nrun 2.5", r"must contain a whole number"),
-    (r"\nrun .*", "\nrun 1", r"ends before the first dump"),
-    (r"\nrun .*", r"\g<0>\nshell touch gone", r"line \d+ \(shell touch gone\) is not known"),
-    (r"\nrun .*", "", r"has no command run"),
-    (r"dt      index .*", "dt index nan", r"contains no number"),
-    (r"dt      index .*", "dt index 1e999", r"must contain a finite number"),
-    (r"dt      index .*", "dt index -1e-7", r"must be a time above 0"),
-    (r"id 1:24", "id 1:20", r"moves other grains"),
-    (r"hertz 4\S+", "hertz x", r"contains no number"),
-    ("pair_style      granular", "pair_style granular 1", r"is not a force that lmpchain writes"),
-    (r"%\.17g\n\nthermo", "%d\n\nthermo", r"must end in a format"),
-]
-
-
-@pytest.mark.parametrize(("pattern", "text", "fault"), EDITS)
-def test_invalid_commands_are_rejected_in_one_line(
-    pattern: str, text: str, fault: str, tmp_path: Path, monkeypatch, capsys
-):
-    monkeypatch.chdir(tmp_path)
-    write_deck(small(), "deck", step=1e-7)
-    deck = Path("deck/in.column")
-    before = deck.read_text()
-    deck.write_text(re.sub(pattern, text, before, count=1))
-    assert deck.read_text() != before
-    assert main(["check", "--deck", "deck"]) == 2
-    told = capsys.readouterr().err
-    assert re.search(fault, told)
-    assert told.count("\n") == 1
-    assert not list(tmp_path.rglob("gone"))
-
-
-def test_invalid_data_are_rejected(tmp_path: Path):
-    write_deck(small(), tmp_path, step=1e-7)
-    data = tmp_path / "column.data"
-    text = data.read_text()
-    for broken in ("", text.replace("Velocities", "Speeds"), text.replace("\n7 1 ", "\n6 1 ")):
-        data.write_text(broken)
-        with pytest.raises(InputError, match=r"column.data: is not a column's data file"):
-            check_deck(tmp_path)
-    data.unlink()
-    with pytest.raises(InputError, match="there is no file"):
-        check_deck(tmp_path)
-
-
 def test_saved_runs_contain_their_scene(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     small().to_toml("scene.toml")
@@ -383,7 +282,10 @@ def test_saved_runs_contain_their_scene(tmp_path: Path, monkeypatch, capsys):
     simulate(small(), "lammps", 1e-4, folder="folder")
     assert main(["check", "folder", "--tolerance", "1e-4"]) == 0
     capsys.readouterr()
+    text = write_deck(small(), "deck", step=1e-7).read_text()
+    Path("deck/in.column").write_text(text.replace("%.17g", "%d"))
     for words, fault in (
+        (["--deck", "deck"], "must end in a format"),
         (["run.nc", "--scene", "other.toml"], "scene: is not the scene of the run"),
         (["run.nc", "--deck", "deck"], "run: give either a dump"),
         ([], "run: give either a dump"),
