@@ -324,29 +324,6 @@ def test_seeds():
     assert len(set(drawn)) == 200
 
 
-class Watched(engines.Native):
-    """A native engine that records its calls."""
-
-    def __init__(self):
-        super().__init__()
-        self.asked: list[Any] = []
-
-    def start(self, scenes, candidate, state=None):
-        self.asked.append((candidate, [tuple(scene.chain.contact_constants) for scene in scenes]))
-        return super().start(scenes, candidate, state)
-
-
-def test_a_longer_series_begins_with_the_shorter_one():
-    """The same chains have the same steps, also if the step is determined for a batch."""
-    short = Watched()
-    long = Watched()
-    scene = weakly_struck(grains=12, tau=4.0, speed=1e-6)
-    ensemble(scene, 1, 3, seed=2, engine=short, tolerance=1e-9)
-    ensemble(scene, 1, 18, seed=2, engine=long, tolerance=1e-9)
-    assert short.asked == long.asked[: len(short.asked)]
-    assert len(long.asked) > len(short.asked)
-
-
 def test_failing_ensembles_state_the_reason():
     scene = weakly_struck(grains=10, tau=20.0, speed=1.0)
     with pytest.raises(RunFailed, match="shorter step"):

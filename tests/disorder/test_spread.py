@@ -112,6 +112,14 @@ def test_means_and_errors(of):
     assert found.growth(begin, case.time[3])[1] > 0
 
 
+def test_a_longer_series_begins_with_the_shorter_one():
+    """The third chain has the same steps, also if the step is determined for a batch."""
+    case = scene(grains=13, tau=4.0, samples=3, gravity=9.81)
+    short, long = (spreading(case, 1, count, 2, "native", tolerance=1e-9) for count in (3, 18))
+    assert np.array_equal(short.groups[2], long.groups[2])
+    assert not np.array_equal(short.groups[1], long.groups[1])
+
+
 def test_memory_does_not_grow_with_the_number_of_chains():
     case = scene(grains=401, tau=1.0)
     spreading(case, 3, 2, 1)
