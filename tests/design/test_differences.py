@@ -7,7 +7,6 @@ in complex arithmetic. A parameter with an imaginary part of 1e-30 gives the exa
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +21,6 @@ from lmpchain import Chain, Drive, Impulse, InputError, Law, Scene, laws, simula
 from lmpchain.design import (
     DriveWork,
     Energy,
-    KineticEnergy,
     Momentum,
     Optimum,
     PeakForce,
@@ -33,8 +31,10 @@ from lmpchain.design import (
     sensitivity,
 )
 from lmpchain.design.differences import differentiate, size_by_force
+from lmpchain.design.gradients import at_step
 from lmpchain.design.objectives import Seen, contact_force
 from lmpchain.errors import RunFailed
+from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.measure import contact, energy
 
 TINY = 1e-30
@@ -174,45 +174,30 @@ def motion_of(case: Case, p: Values, samples: int = 21) -> NDArray[Any]:
     return np.array(rows)
 
 
-@cache
-def states_of(name: str, key: str) -> tuple[list[NDArray[Any]], list[float]]:
-    """Return the final states for a complex step of each entry of a parameter, and the steps."""
-    case = CASES[name]
+def momentum_slopes(case: Case, key: str) -> NDArray[np.float64]:
+    """Return the derivatives of the final momentum of grain 3 by all entries of a parameter."""
     base = np.atleast_1d(case.values[key]).astype(complex)
-    states, changes = [], []
+    slopes = []
     for entry in range(base.size):
         value = base.copy()
-        changes.append(TINY * float(abs(base[entry]) or 1.0))
-        value[entry] += 1j * changes[-1]
+        change = TINY * float(abs(base[entry]) or 1.0)
+        value[entry] += 1j * change
         moved = case.values | {key: value if base.size > 1 else value[0]}
-        states.append(motion_of(case, moved, 2)[-1])
-    return states, changes
+        slopes.append(MASS * motion_of(case, moved, 2)[-1, 1, 2].imag / change)
+    return np.array(slopes)
 
 
-# The second objective needs no new forces.
-OBJECTIVES: dict[str, tuple[Any, Callable[[Any], Any]]] = {
-    "momentum": (Momentum([3]), lambda y: MASS * y[1, 2]),
-    "kinetic energy": (KineticEnergy([2, 3]), lambda y: MASS * (y[1, 1:3] ** 2).sum() / 2),
-}
-
-
-@pytest.mark.parametrize(
-    ("name", "what"),
-    [(name, "momentum") for name in CASES if name != "hertz at 0"]
-    + [(name, "kinetic energy") for name in ("viscous", "duffing")],
-)
-def test_parameters_of_formulas_have_the_derivatives_of_complex_steps(name: str, what: str) -> None:
+@pytest.mark.parametrize("name", [name for name in CASES if name != "hertz at 0"])
+def test_parameters_of_formulas_have_the_derivatives_of_complex_steps(name: str) -> None:
     case = CASES[name]
-    objective, of_state = OBJECTIVES[what]
-    found = gradient(case.scene, objective, case.names.values(), tolerance=1e-5)
-    assert found.error <= 1e-5
+    found = gradient(case.scene, Momentum([3]), case.names.values(), tolerance=1e-4)
+    assert found.error <= 1e-4
     for key, parameter in case.names.items():
-        states, changes = states_of(name, key)
-        true = np.array([of_state(y).imag for y in states]) / changes
+        true = momentum_slopes(case, key)
         assert found[parameter].shape == true.shape
         off = np.abs(found[parameter] - true).max()
         assert off <= found.errors[parameter], parameter
-        assert off <= 1e-5 * np.abs(true).max(), parameter
+        assert off <= 1e-4 * np.abs(true).max(), parameter
 
 
 @pytest.mark.slow
@@ -342,12 +327,13 @@ def test_a_run_that_breaks_down_is_reported() -> None:
 PLAIN = Scene(chain=PRESSED, excitation=Impulse(velocity=0.1), duration=END, samples=21)
 
 
-@pytest.mark.parametrize("objective", [PeakForce(4), Energy([2, 3])])
+@pytest.mark.parametrize("objective", [PeakForce(3), Energy([2, 3])])
 def test_other_parameters_have_the_derivatives_of_the_adjoint(objective: Any) -> None:
     """A ground that is too soft to matter changes the derivatives to differences."""
+    plain = PLAIN.replace(chain=SHORT)
     names = ["masses", "contact_constants", "top_load", "velocity"]
-    soft = PLAIN.replace(chain=PRESSED.replace(ground=laws.klein_gordon(k=1e-12)))
-    exact = gradient(PLAIN, objective, names, tolerance=1e-4)
+    soft = PLAIN.replace(chain=SHORT.replace(ground=laws.klein_gordon(k=1e-12)))
+    exact = gradient(plain, objective, names, tolerance=1e-4)
     found = gradient(soft, objective, names, tolerance=1e-4)
     assert found.value == pytest.approx(exact.value, rel=1e-10)
     for name in names:
@@ -361,15 +347,18 @@ def test_objectives_of_formulas_have_the_values_of_measures() -> None:
     chain = case.chain.replace(law=HERTZ)
     scene = case.scene.replace(chain=chain, samples=401)
     run = simulate(scene, "native", tolerance=1e-9)
-    by_energy = gradient(scene, Energy([2, 3]), ["chain.law.c"], tolerance=1e-4)
+
+    def value(scene: Scene, objective: Any) -> float:
+        return at_step(scene, objective, (), SPLITTINGS["rkn4"], 2e-8).value
+
     shares = energy.shares(run)
-    assert by_energy.value == pytest.approx(shares.of_grain[-1, 1:3].sum(), rel=1e-6)
-    by_peak = gradient(scene, PeakForce(3, sharpness=1e4), ["chain.law.c"], tolerance=1e-3)
-    assert by_peak.value == pytest.approx(contact.contacts(run, [3]).force[:, 0].max(), rel=1e-3)
+    assert value(scene, Energy([2, 3])) == pytest.approx(shares.of_grain[-1, 1:3].sum(), rel=1e-6)
+    peak = contact.contacts(run, [3]).force[:, 0].max()
+    assert value(scene, PeakForce(3, sharpness=1e4)) == pytest.approx(peak, rel=1e-3)
     driven = scene.replace(excitation=Drive(amplitude=1e-7, frequency=1e5))
-    by_work = gradient(driven, DriveWork(), ["chain.ground.s"], tolerance=1e-4)
     ledger = energy.ledger(simulate(driven, "native", tolerance=1e-9))
-    assert by_work.value == pytest.approx((ledger.total - ledger.total[0])[-1], rel=1e-5)
+    work = (ledger.total - ledger.total[0])[-1]
+    assert value(driven, DriveWork()) == pytest.approx(work, rel=1e-5)
 
 
 @pytest.mark.slow

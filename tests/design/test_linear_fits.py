@@ -158,6 +158,9 @@ def test_as_many_unknowns_as_values_need_a_given_noise():
     # The noise of a difference over the difference of the responses.
     assert exact.error[0] == pytest.approx(2**0.5 * NOISE[0] / abs(np.ptp(response)), rel=1e-3)
     assert exact.freedom == 0
+    # A third value shows the noise.
+    more = options | {"time": SCENE.time[20:41:10], "values": noisy(1)[20:41:10, 0]}
+    assert fit(Traces(**more, offset=True), SCENE, ["velocity"]).freedom == 1
 
 
 def test_estimates_have_their_units():
