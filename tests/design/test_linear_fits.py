@@ -175,19 +175,6 @@ def test_estimates_have_their_units():
     assert problem.symbols == ["m/s", "kg", "s", "", "m/s", "m/s"]
 
 
-def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
-    """One and two standard deviations contain 68 and 95 % of 200 draws."""
-    answer = fit(Traces(SCENE.time, [2, 5], noisy(4), noise=NOISE), SCENE, ["velocity"])
-    column = columns()[:, 0]
-    miss = [
-        column @ np.random.default_rng(s).standard_normal(122) / (column @ column)
-        for s in range(200)
-    ]
-    within = np.abs(miss) / answer.error[0]
-    assert np.mean(within < 1) == pytest.approx(0.683, abs=0.1)
-    assert np.mean(within < 1.96) == pytest.approx(0.95, abs=0.05)
-
-
 def test_numbers_of_several_traces_have_names_units_and_begins():
     """Each fitted number of a trace has a name, a unit and an initial value.
 

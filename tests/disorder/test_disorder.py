@@ -178,32 +178,32 @@ def test_chains_are_drawn_by_a_generator():
 # --- averages
 
 
-@pytest.mark.parametrize(("engine", "count"), [("chebyshev", 37), ("modes", 37), ("native", 18)])
-def test_mean_and_standard_error(engine, count):
+@pytest.mark.parametrize(
+    ("engine", "count", "options"),
+    [
+        ("chebyshev", 37, {}),
+        ("modes", 37, {"law": "paper", "of": "constant"}),
+        ("native", 18, {"of": "mass"}),
+    ],
+)
+def test_mean_and_standard_error(engine: str, count: int, options: dict[str, Any]):
     """Batches give the same means as all chains at once, each solved separately."""
-    scene = (
-        weakly_struck(samples=5, grains=20, tau=6.0)
-        if engine == "native"
-        else weakly_struck(samples=5)
-    )
-    found = ensemble(scene, 2, count, seed=5, engine=engine)
-    alone = [simulate(realisation(scene, 2, 5, i), engine) for i in range(count)]
-    tolerance = 3e-6 if engine == "native" else 1e-12
+    native = engine == "native"
+    scene = weakly_struck(samples=5, **({"grains": 20, "tau": 6.0} if native else {}))
+    found = ensemble(scene, 2, count, seed=5, engine=engine, **options)
+    alone = [simulate(realisation(scene, 2, 5, i, **options), engine) for i in range(count)]
+    tolerance = 3e-6 if native else 1e-12
     for name in ("displacement", "velocity"):
         each = np.array([getattr(t, name) for t in alone])
-        size = np.abs(each).max()
-        assert getattr(found, name) == pytest.approx(each.mean(0), rel=0, abs=tolerance * size)
-        expected = each.std(0, ddof=1) / np.sqrt(count)
-        assert getattr(found, f"{name}_error") == pytest.approx(
-            expected, rel=0, abs=tolerance * size
-        )
+        slack = tolerance * np.abs(each).max()
+        assert getattr(found, name) == pytest.approx(each.mean(0), rel=0, abs=slack)
+        error = each.std(0, ddof=1) / np.sqrt(count)
+        assert getattr(found, f"{name}_error") == pytest.approx(error, rel=0, abs=slack)
     assert found.model_error == max(t.error_estimate.model for t in alone)
     assert 0 < found.solver_error <= 1e-6
-    assert (found.realisations, found.engine, found.equation) == (
-        count,
-        engine,
-        1 if engine == "native" else 3,
-    )
+    assert (found.realisations, found.engine, found.equation) == (count, engine, 1 if native else 3)
+    drawn = {"law": "dyson", "of": "stiffness"} | options
+    assert (found.m, found.seed, found.law, found.of) == (2, 5, drawn["law"], drawn["of"])
     assert np.array_equal(found.time, scene.time)
     assert np.array_equal(found.grains, scene.recorded)
 
@@ -330,6 +330,11 @@ def test_failing_ensembles_state_the_reason():
         ensemble(scene, 5, 2, seed=1, engine=engines.Native(integrator="verlet", step=2e-6))
     with pytest.raises(ToleranceNotMet, match=r"^in chains 1 to 5 "):
         ensemble(weakly_struck(), 5, 5, seed=1, tolerance=1e-17)
+    with pytest.raises(
+        InputError,
+        match=r"^engine: must be one of native, modes, chebyshev for random chains \(got 'bes",
+    ):
+        ensemble(weakly_struck(), 5, 5, seed=1, engine="bessel")
     drawn = Displacement(displacement=1e-12)
     loose = scene_of(column(5, top="wall"), drawn, 1e-5)
     with pytest.raises(InputError, match=r"^top: a wall that only touches"):
@@ -401,22 +406,6 @@ def test_averages_at_the_end():
         with pytest.raises(InputError, match=f"^{key}: must be a whole number from"):
             at_the_end(scene, [2], count, seed)
     assert len(at_the_end(scene, [2], 2, 0)[1]) == 1
-
-
-def test_metadata_of_averages():
-    found = ensemble(weakly_struck(grains=12), 3, 4, 7, law="paper", of="constant")
-    assert (found.m, found.seed, found.law, found.of) == (3, 7, "paper", "constant")
-    alone = [
-        simulate(realisation(weakly_struck(grains=12), 3, 7, i, "paper", "constant"), "chebyshev")
-        for i in range(4)
-    ]
-    mean = np.mean([t.velocity for t in alone], axis=0)
-    assert found.velocity == pytest.approx(mean, rel=0, abs=1e-15 * np.abs(mean).max())
-    with pytest.raises(
-        InputError,
-        match=r"^engine: must be one of native, modes, chebyshev for random chains \(got 'bes",
-    ):
-        ensemble(weakly_struck(), 5, 5, seed=1, engine="bessel")
 
 
 def test_materials_of_grains_whose_modulus_is_drawn():

@@ -158,6 +158,7 @@ def test_chains_with_random_grains(of):
     ("call", "key"),
     [
         (lambda: spreading(scene(), 3, 0, 1), "realisations"),
+        (lambda: spreading(scene(), 3, "many", 1), "realisations"),  # type: ignore[arg-type]
         (lambda: spreading(None, 3, 2, 1), "scene"),  # type: ignore[arg-type]
         (lambda: spreading(scene(), 3, 2, 1, of="colour"), "of"),
         (lambda: spreading(scene(), 3, 2, 1, "lammps"), "engine"),

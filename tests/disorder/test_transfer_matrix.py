@@ -166,23 +166,6 @@ def test_defaults():
     assert lyapunov(2.5, grains=100).exponent == pytest.approx(2 * np.arccosh(1.25), rel=1e-9)
 
 
-def test_the_error_is_that_of_the_mean():
-    """The standard error from the spread of chains agrees with the scatter over other seeds."""
-    several = [
-        lyapunov(0.5, gamma(5, scale=0.2), grains=2000, chains=10, seed=seed) for seed in range(60)
-    ]
-    spread = np.std([each.exponent for each in several], ddof=1)
-    assert spread == pytest.approx(np.sqrt(np.mean([each.error**2 for each in several])), rel=0.3)
-
-
-def test_the_same_seed_gives_the_same_bits():
-    first, again, other = (
-        lyapunov([0.5], expon(0.1), grains=70_000, chains=2, seed=seed) for seed in (1, 1, 2)
-    )
-    assert first.exponent == again.exponent != other.exponent
-    assert first.length == 1 / first.exponent
-
-
 def test_pictures_have_labels_and_bars():
     frequency = np.geomspace(0.1, 2, 5)
     grown = lyapunov(frequency, expon(0.1), grains=1000)
