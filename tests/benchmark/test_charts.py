@@ -72,7 +72,7 @@ LEADING = [
 ]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def panels() -> Any:
     return RESULT.plot(others=OTHERS).figure.axes[:3]
 

@@ -142,6 +142,23 @@ def test_rows_contain_the_numbers_of_the_trajectories():
     assert "made up" in comparison.table()
 
 
+def test_the_effect_of_damping_has_its_own_row():
+    answer, truth = made_up()
+    damped = answer.scene.replace(chain=CHAIN.replace(damping={"drag": 1e3}))
+    lossless = replace(answer, velocity=1.5 * answer.velocity)
+    comparison = compare([replace(answer, scene=damped)], truth, lossless)
+    row = comparison.lossless
+    assert row is not None
+    assert (row.engine, row.error, row.error_displacement) == ("without damping", 0.5, 0.0)
+    assert row.expected_error == damped.damping_effect > 0
+    lines = comparison.table().splitlines()
+    assert lines[2].split()[:3] == ["without", "damping", "(1)"]
+    assert "without damping: the change if damping is left out" in " ".join(lines)
+    data = comparison.to_json()
+    assert (len(data["rows"]), data["without_damping"]["error"]) == (1, 0.5)
+    assert "without_damping" not in compare([answer], truth).to_json()
+
+
 def test_json_has_the_documented_form_without_nan():
     answer, truth = made_up()
     broken = replace(answer, velocity=np.full_like(answer.velocity, np.nan))

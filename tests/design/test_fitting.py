@@ -169,6 +169,8 @@ def test_a_posterior_is_reproducible_from_its_seed():
     traces = Traces(short.time, [2], measured(1e-3, scene=short, places=[2]), noise=1e-3)
     fitted = fit(traces, guess().replace(duration=1.6e-5), ["velocity"])
     first, again, other = (fitted.posterior(12, walkers=4, seed=seed) for seed in (3, 3, 4))
+    assert first.shape == (12, 1)
+    assert (np.abs(first - fitted.estimate) < 6 * fitted.error).all()
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
     wrong: Any
