@@ -152,7 +152,8 @@ def test_the_effect_of_damping_has_its_own_row():
     assert (row.engine, row.error, row.error_displacement) == ("without damping", 0.5, 0.0)
     assert row.expected_error == damped.damping_effect > 0
     lines = comparison.table().splitlines()
-    assert lines[2].split()[:3] == ["without", "damping", "(1)"]
+    cells = ["without", "(1)", answer.cost.integrator, "5.00e-01", f"{row.expected_error:.2e}"]
+    assert lines[2].split()[:5] == cells  # The word damping is in the next line.
     assert "without damping: the change if damping is left out" in " ".join(lines)
     data = comparison.to_json()
     assert (len(data["rows"]), data["without_damping"]["error"]) == (1, 0.5)
