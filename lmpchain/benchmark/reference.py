@@ -291,7 +291,8 @@ def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
     body = scene.drive.body(scene.chain) if scene.drive else 0
     if 1 <= body <= grains and wave is not None:
         solution[:, :, body - 1] = wave.at(scene.time, 0), wave.at(scene.time, 1)
-        peaks.append(np.abs(solution[:, :, body - 1]).max(axis=1))
+        looks = np.union1d(scene.time, _look_times(scene, 0.0, scene.duration))
+        peaks.append(tuple(np.abs(wave.at(looks, order)).max() for order in (0, 1)))
     return solution[0], solution[1], np.max(peaks, axis=0)
 
 

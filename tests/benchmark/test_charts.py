@@ -180,7 +180,8 @@ def test_slopes_of_orders_are_correct(panels: Any):
     for line, order in zip(slopes, (2, 4, 6, 8), strict=True):
         (x, end), (y, low) = line.get_data()
         assert math.log(y / low) / math.log(end / x) == pytest.approx(order, rel=1e-9)
-        assert end <= 10 * x * (1 + 1e-12)
+        assert ax.get_xlim()[0] < x < end <= 10 * x * (1 + 1e-12)
+        assert end < ax.get_xlim()[1]
         assert low >= 30 * ax.get_ylim()[0] * (1 - 1e-9)
         assert (end == pytest.approx(10 * x, rel=1e-9)) or (
             low == pytest.approx(30 * ax.get_ylim()[0], rel=1e-9)

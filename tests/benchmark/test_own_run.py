@@ -221,7 +221,7 @@ def test_damped_dumps_and_decks(integrator: str, pair_style: str, tmp_path: Path
     "options",
     thinned(
         [{"integrator": "kahan-li6"}, {"diameter": "gauge"}, {"pair_style": "gran/hertz/history"}],
-        2,
+        3,
     ),
 )
 def test_every_kind_of_deck_is_read(options: dict[str, str], tmp_path: Path):

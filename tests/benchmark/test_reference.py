@@ -184,6 +184,8 @@ HERTZ = Law("k*max(o, 0)**1.5 + k*max(o - 1, 0)**1.5")
 FORCED = {
     "strike": ({}, Impulse(velocity=0.05)),
     "drive": ({}, Drive(amplitude=2e-8, frequency=3e4)),
+    # Grain 1 moves most, and is at rest at the samples.
+    "fast drive": ({}, Drive(amplitude=2e-9, frequency=1.5e6)),
     "moving wall": ({"top": "wall"}, Drive(grain=0, amplitude=2e-8, frequency=3e4)),
     # This force ends during the run.
     "force": ({}, Force(grain=2, shape="half-sine", amplitude=0.01, duration=6e-6)),
