@@ -253,6 +253,7 @@ def test_rows_and_tables_of_given_points():
     assert data["reference"] == {"method": "a series", "error": 2e-15}
     assert (data["machine"], data["dropped"], data["versions"]) == ("a box", 3, RESULT.versions)
     assert [row["error"] for row in data["rows"]] == [p.error for p in RESULT.points]
+    assert RESULT.to_dataframe()["seconds"].tolist() == [p.seconds for p in RESULT.points]
     first = data["rows"][0]
     assert (first["tolerance"], first["seconds"], first["setup_s"], first["estimate_s"]) == (
         1e-6,

@@ -136,6 +136,7 @@ def test_rows_contain_the_numbers_of_the_trajectories():
         second.cost.integrator,
         1,
     )
+    assert comparison.to_dataframe()["error"].tolist() == [0.0, 0.5]
     lines = comparison.table().splitlines()
     assert lines[0].split()[:3] == ["engine", "Eq.", "integrator"]
     assert lines[2].split()[:4] == ["lammps", "(1)", second.cost.integrator, "5.00e-01"]

@@ -333,6 +333,9 @@ def test_a_table_of_numbers_needs_two_complete_lines(tmp_path: Path):
     np.testing.assert_array_equal(traces.time, [0, 1e-6, 2e-6])
     np.testing.assert_array_equal(traces.values, [[1e-3, 2], [2e-3, 3], [3e-3, 4]])
     assert (traces.field, traces.noise) == ("force", 0.1)
+    rows = traces.to_dataframe()
+    assert list(rows) == ["time [s]", "force_1 [N]", "force_5 [N]"]
+    np.testing.assert_array_equal(rows, np.c_[traces.time, traces.values])
     for text, message in (
         ("", "no table of numbers"),
         ("a,b\n1,2\n", "needs two lines of numbers: time, velocity_4"),

@@ -129,6 +129,9 @@ def test_a_table_is_sorted_by_influence():
         "diameters 4",
     ]
     assert [name for name, _ in ranks] == names
+    rows = table.to_dataframe()
+    assert rows["parameter"].tolist() == names
+    assert rows["change [N]"].tolist() == [part for _, part in ranks]
     assert [part for _, part in ranks][:3] == pytest.approx([-0.02, 0.007, 0.005], rel=1e-12)
     lines = [" ".join(line.split()) for line in table.table().splitlines()]
     assert lines == [
