@@ -72,7 +72,7 @@ def test_adaptive_steps_keep_the_order_where_contacts_open(exponent: float):
     objective = Momentum([2])
     names = ["masses", "contact_constants"]
     step = 1 / scene.highest_frequency
-    true = at_step(scene, objective, names, SPLITTINGS["rkn6"], step / 16384)[1]
+    true = at_step(scene, objective, names, SPLITTINGS["rkn6"], step / 6144)[1]
 
     def off(length: float, adaptive: bool) -> float:
         found = at_step(scene, objective, names, SPLITTINGS["rkn6"], length, adaptive)[1]
