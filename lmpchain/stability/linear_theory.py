@@ -136,13 +136,16 @@ def strike_number_where(error: float, scene: Scene) -> float:
     if struck_column(scene):
         delta = scene.chain.law.power_of("the law of struck columns")
         return strike_number_at(error, "package", delta)
+    # Without a motion there is no error.
+    if not scene.strike_number:
+        return np.inf
     number = min(WEAK, scene.strike_number)
     # The estimate is proportional to the strike number; or to its square, if the force is an odd
     # function of the displacement from rest. The secant in logarithms meets both.
     power = 2.0
     before = None
     for _ in range(20):
-        excitation = scene.excitation.scaled(number / (scene.strike_number or 1.0))
+        excitation = scene.excitation.scaled(number / scene.strike_number)
         weaker = Scene(**scene.given() | {"excitation": excitation})
         estimate = Chebyshev().look(weaker.reached).error
         if not estimate:

@@ -408,6 +408,10 @@ def test_the_four_panels_contain_the_numbers() -> None:
         "native verlet",
     ]
     assert steps.get_xlabel() == "longest step before a run of this duration breaks down"
+    ticks = {f"{tick:.0e}" for tick in steps.xaxis.get_major_locator().tick_values(1e-6, 9e-6)}
+    assert {"1e-06", "2e-06", "5e-06"} <= ticks
+    assert not {"3e-06", "4e-06", "6e-06"} & ticks
+    assert all(line.get_visible() for line in steps.get_xgridlines())
     drawn = lines_of(energy)["verlet"]
     assert drawn.get_xdata().tolist() == [1e-4, 1e-3]
     assert drawn.get_ydata().tolist() == [1e-5, 1e-17]
