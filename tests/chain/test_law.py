@@ -4,6 +4,7 @@ import math
 import pickle
 import re
 import time
+import warnings
 from types import SimpleNamespace
 from typing import Any
 
@@ -189,6 +190,13 @@ def test_every_limit_of_a_formula_is_as_documented() -> None:
             "+".join(f"max(o, {n})" for n in range(6 + limit)),
         )
 
+    # Long formulas are shown in part, without warnings of Python about them.
+    long = "1or o" + " or o" * 12
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for text, part in ((f"{long[:59]})", f"{long[:59]})"), (f"{long})", f"{long[:57]}...")):
+            assert faults(Law, text) == [("force", f"is not a valid formula: {part!r}")]
+    assert not caught
     words = ("1001 characters", "up to 30 letters", "above 1e+100", "40 levels", "200 numbers")
     for text, wrong, said in zip(at(0), at(1), (*words, "than 6 different"), strict=True):
         assert "o" in parse(text).names
@@ -301,6 +309,7 @@ SHAPES = [  # Onset, and whether contacts pull and bond.
     ("step(o)*(1 + o)", 0.0, False, False),
     ("step(o)*o", 1.0, False, False),
     ("exp(o) - 1", 1.5, True, True),
+    ("exp(o)", 1.5, True, False),  # It never rests.
     ("o - o**2 + o**3", 1.5, True, True),
     ("max(o, 0) + 0.3*min(o, 0)", 1.0, True, False),  # It rests at a kink.
     ("o**3", 1.5, True, False),
