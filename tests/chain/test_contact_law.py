@@ -369,11 +369,11 @@ def test_a_selection_of_contacts_keeps_its_parameters(numbers: Any) -> None:
 
 
 def test_each_of_many_chains_has_the_contacts_of_that_chain_alone(rng: np.random.Generator) -> None:
-    """Drawn masses or constants, and parameters of a law that all chains share."""
+    """Drawn masses or constants, and parameters of a law and an impurity that all chains share."""
     law = Law("k*max(o, 0)**p*(1 + c*o)", p=[1.5, 1.6, 1.7, 1.8], c=2.0)
-    chain = Chain(
-        grains=5, diameter=1e-3, top_load=1.0, law=law, bottom="wall", contact_constants=[1e10] * 4
-    )
+    odd = [Impurity(grain=2, mass=3e-6)]
+    ends = {"top_load": 1.0, "bottom": "wall"}
+    chain = column(5, law=law, contact_constants=[1e10] * 4, impurity=odd, **ends)
     for key, size in (("masses", 1e-6), ("contact_constants", 1e10)):
         drawn = size * rng.uniform(0.5, 2.0, (3, 5 - (key == "contact_constants")))
         many = derive_chain(chain, {key: drawn})
