@@ -163,6 +163,18 @@ def test_weak_orbits_are_harmonic() -> None:
         assert orbit.spacing < 2 * np.pi / k < other.spacing
 
 
+def test_waves_of_a_step_are_measured_at_seven_tenths_of_their_way() -> None:
+    chain = Chain(grains=300, diameter=1e-3, gravity=0.0, top_load=1.0, top="free")
+    speed = 0.6 * float(chain.equilibrium_overlap[0]) / chain.time_scale
+    step = Riemann(velocity=(speed, 0), strain=(0, 0), grain=120)
+    t = run(chain, step, 100 * chain.time_scale, 801, 1e-6)
+    seen = shock.find(t)
+    # The front is the last contact beyond half of the jump.
+    half = (seen.behind.overlap + seen.ahead.overlap) / 2
+    front = 1 + int(np.flatnonzero(seen.overlap > half)[-1])
+    assert planar.orbits(t).contact == pytest.approx(120 + 0.7 * (front - 120), abs=2)
+
+
 def test_only_dispersive_shocks_have_orbits() -> None:
     chain = Chain(grains=300, diameter=1e-3, gravity=0.0, top_load=1.0, top="free")
     less = -0.5 * float(chain.equilibrium_overlap[0]) / 1e-3
