@@ -142,7 +142,7 @@ def test_phase_and_strain_of_a_given_motion() -> None:
     t = long_run(1.5, 0.02)
     rest = float(t.scene.chain.equilibrium_overlap[0])
     omega = 2 * np.pi * t.scene.excitation.frequency
-    lag = 0.9 * t.grains + 2e-4 * t.grains**2
+    lag = 0.9 * t.grains + 4e-6 * t.grains**3
     static = -rest * (1e-3 * t.grains + 1e-6 * t.grains**2)
     size = 0.1 * rest * np.exp(-5e-3 * t.grains)
     motion = size * np.cos(omega * t.time[:, None] - lag) + static
