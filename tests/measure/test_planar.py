@@ -146,13 +146,15 @@ def test_the_homoclinic_orbit_approaches_the_solitary_wave(
 
 def test_weak_orbits_are_harmonic() -> None:
     """Small orbits about r have 4 sin^2(k / 2) = k^2 (1 - k^2 / 12 ...) of the lattice."""
-    gas = Medium(exponent=1.5, constant=1.0, mass=1.5)
+    # The speed of sound is 1 at the overlap 4.
+    gas = Medium(exponent=1.5, constant=2.0, mass=6.0)
+    ends = 4 - 4e-5, 4 + 4e-5
     for speed in (0.99, 0.95):
-        orbit = planar._orbit(gas, speed, 1.0 - 1e-5, 1.0 + 1e-5, planar._of_overlaps)
+        orbit = planar._orbit(gas, speed, *ends, planar._of_overlaps)
         assert orbit is not None
-        assert orbit.mean == pytest.approx(1.0, abs=1e-9)
+        assert orbit.mean == pytest.approx(4.0, rel=1e-9)
         assert orbit.spacing == pytest.approx(2 * np.pi / np.sqrt(12 * (speed**-2 - 1)), rel=1e-6)
-        other = planar._orbit(gas, speed, 1.0 - 1e-5, 1.0 + 1e-5, planar._of_forces)
+        other = planar._orbit(gas, speed, *ends, planar._of_forces)
         assert other is not None
         assert other.spacing == pytest.approx(2 * np.pi / np.sqrt(12 * (1 - speed**2)), rel=1e-6)
         for each in (orbit, other):
