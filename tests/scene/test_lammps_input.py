@@ -118,7 +118,9 @@ UNDERSTOOD: dict[str, tuple[str, dict[str, str], list[float]]] = {
         [0.0, WEIGHT, 2 * WEIGHT, 0.0],
     ),
     "two loads": (
-        "group t id 1 3\nfix 7 t addforce 1 0 0\nfix 9 t addforce 0.5 0 0",
+        # A restitution of 1 is no damping.
+        "group t id 1 3\nfix 7 t addforce 1 0 0\nfix 9 t addforce 0.5 0 0\n"
+        "pair_coeff * * hertz 1e10 1 damping coeff_restitution",
         {"load": "1.5 N on grain 1 (line 18)", "gravity": "none (no fix gravity)"},
         [0.0, 1.5, 1.5, 0.0],
     ),

@@ -144,7 +144,7 @@ REFUSED = {
     "another style": (SPHERES.replace("Atoms", "Atoms # full"), "has the atom style 'full': use s"),
     "a hybrid alone": (SPHERES.replace("Atoms", "Atoms # hybrid"), "name the input that reads"),
     "no section": (PLAIN, "has no section Atoms"),
-    "a rotation": (SPHERES + VELOCITIES.format(turn=" 0 1 0"), "three velocities, without a rot"),
+    "a rotation": (SPHERES + VELOCITIES.format(turn=" 1 0 0"), "three velocities, without a rot"),
     "two velocities": (
         SPHERES + "Velocities\n\n2 0 0\n",
         "must have a number and three velocities",
@@ -173,6 +173,9 @@ def test_a_data_file_alone_is_a_scene_of_a_material(tmp_path: Path) -> None:
     # The first 40 lines are searched for the number of atoms.
     for empty, data in ((38, True), (39, False)):
         assert is_data("row\n" + empty * "\n" + " 12  atoms # of glass\n") == data
+    grains, in_cm = (LammpsInput(path, units=units).grains() for units in (None, "cgs"))
+    assert in_cm.positions == pytest.approx(grains.positions / 100, rel=1e-12)
+    assert in_cm.masses == pytest.approx(grains.masses / 1000, rel=1e-12)
     found = understood(path, options)
     scene = Scene(**found.fields)
     sizes = 0.01 * 0.95 ** np.arange(12)
