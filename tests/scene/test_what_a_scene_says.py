@@ -19,6 +19,7 @@ from lmpchain import (
     Force,
     Impulse,
     InputError,
+    Law,
     Material,
     Packet,
     Profile,
@@ -90,6 +91,13 @@ def test_quantities_are_checked_by_name_and_contact() -> None:
         Impulse(velocity=1e-6), LOADED, quantities=["force:0", "peak_force:9", "arrival_time"]
     )
     assert scene.contacts == {"force:0": 0, "peak_force:9": 9}
+    soft = Law("k*(o*exp(-(o/L)**2) + 0.02*o)", k=1e6, L=1e-8)
+    viscous = LOADED.replace(top_load=0.0, law=soft, damping={"viscoelastic": 1e-9})
+    fault = "is not found in viscous contacts whose force may decrease with the overlap"
+    told = faults(acted_on, Impulse(velocity=1e-9), viscous, quantities=["force:1", "peak_force:2"])
+    cure = "ask for force:2, the force over time"
+    assert told == [("quantities", f"peak_force:2 {fault}: {cure}")]
+    acted_on(Impulse(velocity=1e-9), viscous, quantities=["force:1"])
 
 
 def test_recorded_grains_are_numbered_and_counted() -> None:
