@@ -86,6 +86,7 @@ WATCHING = """
 # velocity all set 0 0 1
 compute   top_speed all reduce max vz # velocity
 compute_modify e dynamic/dof no
+compute   moving mobile ke
 dump      a all atom 5 a-*.dump
 dump      c all custom 5 &
           c.dump id vz
