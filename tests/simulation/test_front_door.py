@@ -225,8 +225,12 @@ def test_the_progress_bar_shows_progress_and_error(monkeypatch, small_blocks):
     assert Bar.remarks[-1] == f"error {t.error_estimate.total:.1g}"
     Bar.remarks.clear()
     monkeypatch.setattr(api, "ESTIMATE_S", 1e9)
-    simulate(SCENE, "native", 1e-6, progress=True)
+    Bar.reached.clear()
+    # The bar also moves between two samples.
+    simulate(SCENE.replace(samples=2, quantities=["peak_velocity"]), "native", progress=True)
     assert Bar.remarks == []
+    assert Bar.reached == sorted(Bar.reached)
+    assert any(1 < done < 2 for done in Bar.reached)
 
 
 # --- run folders

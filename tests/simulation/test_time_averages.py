@@ -110,6 +110,7 @@ def test_a_linear_chain_has_the_averages_of_its_mode(monkeypatch: pytest.MonkeyP
     shape = modes.shape[:, 2] / np.sqrt(chain.masses)
     start = Profile(displacement=1e-13 * shape / abs(shape).max(), velocity=np.zeros(12))
     scene = Scene(chain=chain, excitation=start, duration=1e-3)
+    change = chain.linear_stiffness[2] * (start.displacement[2] - start.displacement[3])
     period = 2 * np.pi / modes.frequency[2]
     with warnings.catch_warnings():
         # A motion without chaos has infinite correlations.
@@ -118,7 +119,7 @@ def test_a_linear_chain_has_the_averages_of_its_mode(monkeypatch: pytest.MonkeyP
         short = []
         for numbers in (12 * 5, 2**17):
             monkeypatch.setattr(time_averages, "BLOCK_NUMBERS", numbers)
-            names = ["kinetic_energy", "displacement:3"]
+            names = ["kinetic_energy", "displacement:3", "force:3"]
             short.append(averages(scene, names, time=64.3 * period, tolerance=1e-9))
     for average in short:
         times = average.warm_up + (average.time - average.warm_up) * np.arange(1, 2049) / 2048
@@ -127,6 +128,8 @@ def test_a_linear_chain_has_the_averages_of_its_mode(monkeypatch: pytest.MonkeyP
         for name, exact in (
             ("kinetic_energy", scene.energy * np.sin(phase) ** 2),
             ("displacement:3", start.displacement[2] * np.cos(phase)),
+            # The force varies by a millionth of its mean.
+            ("force:3", chain.contacts.force[3] + change * np.cos(phase)),
         ):
             (means,) = average.stretch_mean[name]
             atol = 1e-6 * np.abs(exact).max()
