@@ -28,6 +28,7 @@ from lmpchain import (
 )
 from lmpchain.cli.command_line import main
 from lmpchain.disorder.averages import at_the_end, disordered, ensemble, factors, realisation
+from lmpchain.util.progress import ProgressBar
 
 
 def weakly_struck(
@@ -310,9 +311,14 @@ def assert_same(one: disorder.Ensemble, other: disorder.Ensemble) -> None:
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
 
 
-def test_seeds():
+def test_seeds(monkeypatch: pytest.MonkeyPatch):
     scene = weakly_struck()
     first = ensemble(scene, 2, 10, seed=4)
+    reached: list[float] = []
+    monkeypatch.setattr(ProgressBar, "reach", lambda _, done: reached.append(done))
+    ensemble(scene, 2, 20, seed=4)
+    assert reached == sorted(reached)
+    assert {16, 20} <= set(reached)  # A batch has 16 chains.
     assert_same(first, ensemble(scene, 2, 10, seed=4, progress=True))
     assert not np.array_equal(first.velocity, ensemble(scene, 2, 10, seed=5).velocity)
     more = ensemble(scene, 2, 11, seed=4)  # The same ten chains, and one more.
@@ -360,7 +366,7 @@ def test_an_interruption_releases_all_resources(monkeypatch):
 
 def test_picture_of_a_mean():
     found = ensemble(weakly_struck(), 2, 10, seed=1)
-    for sample in (-1, 0):
+    for sample in (-1, 0, 1):
         (axes,) = found.plot(sample=sample).figure.axes
         (line,) = axes.lines
         assert np.array_equal(line.get_xdata(), found.grains)

@@ -160,7 +160,7 @@ def test_tolerances_of_diameters_add_up_to_first_order() -> None:
 
 def test_a_common_diameter_is_one_of_all_grains() -> None:
     """Common properties are drawn once, others for each grain, and seeds are reproducible."""
-    options = {"realisations": 6, "seed": 0}
+    options = {"realisations": 2, "seed": 0}
 
     def spread(t):
         return float(np.ptp(t.scene.chain.diameters))

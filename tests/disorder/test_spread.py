@@ -209,7 +209,9 @@ def test_picture_of_spreading():
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert len(axes.get_legend().get_texts()) == 2
     for count, bands in ((1, 0), (2, 2)):
-        assert len(spreading(scene(), 3, count, 1).plot().collections) == bands
+        found = spreading(scene(), 3, count, 1)
+        assert len(found.plot().collections) == bands
+        assert np.isnan(found.growth()[1]) == (count == 1)
 
 
 def test_metadata_of_spreading():
