@@ -209,20 +209,6 @@ def test_mean_and_standard_error(engine: str, count: int, options: dict[str, Any
     assert np.array_equal(found.grains, scene.recorded)
 
 
-def test_first_moments_of_a_motion_just_begun():
-    """Initially phi_1' = v0 (1 - zeta_1 tau^2 / 2), so that zeta_1 determines mean and scatter."""
-    tau = 0.02
-    m = 4
-    count = 400
-    found = ensemble(
-        weakly_struck(grains=4, tau=tau, speed=1.0e-12), m, count, seed=3, engine="modes"
-    )
-    lost = (1 - found.velocity[-1, 0] / 1e-12) / (tau**2 / 2)
-    error = found.velocity_error[-1, 0] / 1e-12 / (tau**2 / 2)
-    assert lost == pytest.approx(1, rel=0, abs=4 * np.sqrt(1 / m / count))
-    assert error == pytest.approx(np.sqrt(1 / m / count), rel=0.15)
-
-
 # Largest mean velocity over 400 chains with kappa_n = n^(1/3) zeta_n of 60 grains at tau = 15, by
 # another code with other random numbers.
 PUBLISHED = {1: 0.0995, 5: 0.234, 100: 0.356}
