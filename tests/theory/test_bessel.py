@@ -75,6 +75,15 @@ def test_free_end_impulse_by_quadrature(n: int, T: float):
     assert bessel.free_end_impulse(n, -T) == -bessel.free_end_impulse(n, T)
 
 
+def test_free_end_against_an_integrator():
+    T = np.array([0.0, 0.7, 5.0, 20.0])
+    n = np.arange(1, 61)
+    static, _ = integrate(np.ones(60), unit(60, 1), 0.0, T)
+    dynamic, _ = integrate(np.ones(60), 0.0, unit(60, 1), T)
+    assert bessel.free_end(n, T[:, None]) == pytest.approx(static, abs=1e-13)
+    assert bessel.free_end_impulse(n, T[:, None]) == pytest.approx(dynamic, abs=1e-12)
+
+
 @pytest.mark.parametrize("delta", [1.0, 1.5, 3.0])
 def test_local_and_far_field(delta: float):
     """The next term of the asymptotic series of Eqs. (7) and (8) is (16 n^2 - 1) / (8 x)."""

@@ -141,6 +141,19 @@ def test_superposition_along_the_real_axis(power: int):
     assert abs(found - complex(exact)) < 3e-14
 
 
+def test_constants_of_eq_32():
+    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed one is for the imaginary part."""
+    h = 2.0
+    tau = np.array([3.0, 6.0])
+    chi = continuum.chi(h)
+    R = np.sqrt(tau**2 - chi**2)
+    bracket = (5 / 6) ** 0.4 * ((tau + R) ** 0.4 - (tau - R) ** 0.4) / R
+    assert continuum.packet(h, tau) == pytest.approx(0.850650808352039932 * bracket, rel=1e-13)
+    assert continuum.superpose(ones, h, tau).imag == pytest.approx(
+        -2 * np.sin(np.pi / 10) * bracket, rel=1e-13
+    )
+
+
 @each_delta
 def test_packet_is_smooth_on_the_light_cone(delta: float):
     h = np.array([0.01, 2.0, 3000.0])
