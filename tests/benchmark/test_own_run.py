@@ -330,6 +330,15 @@ def test_a_solution_of_another_equation_has_a_model_error():
     assert "Eq. (3)" in found.table()
 
 
+def test_weak_waves_need_gauge_diameters_in_lammps():
+    """Heights of 25 mm are rounded to 3e-18 m, 5e-5 of a motion of 7e-14 m."""
+    found = check(simulate(small(Impulse(velocity=1e-8)), Native("verlet", STEP)))
+    (fine,) = (c for c in found.cures if (c.target, c.integrator) == (1e-6, "verlet"))
+    assert fine.diameter == "gauge"
+    assert fine.heights < 1e-6
+    assert "(gauge)" in found.table()
+
+
 def test_unrecorded_grains_make_the_energy_unknown():
     found = check(simulate(small().replace(grains="1:5"), Native("verlet", STEP)))
     assert np.isnan(found.error_energy)
