@@ -185,10 +185,11 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, bottom, keys):
     glass = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
     for key, values in numbers.items():
         name, _, own = key.removeprefix("chain.").partition(".")
-        before = tables["chain"].get(name)
-        each = before if isinstance(before, list) else [glass] * 12
-        changed = [one | {own: value} for one, value in zip(each, values, strict=True)]
-        tables["chain"][name] = changed if own else values
+        if own:
+            before = tables["chain"][name]
+            each = before if isinstance(before, list) else [glass] * 12
+            values = [one | {own: value} for one, value in zip(each, values, strict=True)]
+        tables["chain"][name] = values
     alone = simulate(Scene.from_dict(tables), "native")
     assert np.array_equal(found.velocity[3], alone.velocity)
     assert found.solver_error[3] == alone.error_estimate.solver
