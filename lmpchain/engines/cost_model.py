@@ -52,7 +52,7 @@ def budget(budget_s: float) -> Iterator[None]:
     Within another budget, the work may use half of the remaining CPU time, so that time remains for
     another attempt with a larger tolerance.
     """
-    now = _cpu_time()
+    now = cpu_time()
     left_s = min(OVERRUN * budget_s, (_limits.get()[1] - now) / 2)
     token = _limits.set((min(budget_s, left_s), now + left_s))
     try:
@@ -110,11 +110,11 @@ def check_time() -> None:
     """Raise `TooLong` if the work has taken far more time than its budget."""
     limit_s = _limits.get()[1]
     # Without a budget no clock is read.
-    if limit_s < math.inf and _cpu_time() > limit_s:
+    if limit_s < math.inf and cpu_time() > limit_s:
         raise TooLong("the work took far longer than expected")
 
 
-def _cpu_time() -> float:
+def cpu_time() -> float:
     """Return the CPU time of this process without compilation, s."""
     from ..util.compilation import compiled_cpu_s
 

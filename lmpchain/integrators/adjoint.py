@@ -204,6 +204,8 @@ class DifferentiableRun(ObservedRun):
         Displacement of the observed grains, m.
     velocity : (looks+1, G) array
         Velocity of the observed grains, m/s.
+    law : AdjointForce
+        Contact law for the compiled loops.
     """
 
     def __init__(
@@ -238,7 +240,7 @@ class DifferentiableRun(ObservedRun):
         self._above = Above(*above)
         way = _way(chain, arrays)
         less = exponent - 1.0
-        self._law = AdjointForce(
+        self.law = AdjointForce(
             way=int(way),
             pressed=arrays.precompressed,
             touching=float(arrays.uncompressed[0]),
@@ -329,7 +331,7 @@ class DifferentiableRun(ObservedRun):
         adjoint, bodies, above = np.split(make_aligned(11, long), (5, 8))
         bodies[2, 1 : width + 1] = self._mobility
         above[:, :width] = self._above
-        law = self._law
+        law = self.law
         # The polynomial depends on the strains of this run, which are known only now.
         if law.way == Way.UNDONE_SERIES:
             terms = economise(law.less, min(UNSEEN * self._strain, self.scene.largest_strain))
@@ -418,7 +420,7 @@ class DifferentiableRun(ObservedRun):
                 changes = changes._replace(path=by_path)
             stretch = Stretch(int(pieces.looks[piece]), int(pieces.rows[piece]), count)
             path = self._path(row, count)
-            tangent(moved, self._law, self._course, stretch, path, memory, changes, looks)
+            tangent(moved, self.law, self._course, stretch, path, memory, changes, looks)
         self._fill_change_of_driven(looks.values, change.drive)
         return looks.values[:, 0], looks.values[:, 1]
 

@@ -102,6 +102,10 @@ class NativeStepper:
     balance : (S + 1, R, T, 2) array
         Dissipated energy and work of the forcing at the samples, J, see `layout.STATE`. By default
         T = 0, and no energies are stored.
+    teams : list of Team
+        Members of the team of threads that share each chain; a single one if none is shared.
+    shares : list of (arguments, int, int)
+        Work of each thread: arguments of the compiled march, first chain, and end of chains.
     """
 
     ranks = 1
@@ -143,11 +147,11 @@ class NativeStepper:
         if march.shared and self._size < threads:
             sharing = min(threads, chains.grains // LEAST_SHARE)
         shares = min(threads, self._size) if sharing < 2 else 1
-        self._teams = team(sharing) if sharing > 1 else [ALONE]
+        self.teams = team(sharing) if sharing > 1 else [ALONE]
         # Each thread that shares a chain has its own state, which differs only in extreme values.
-        self._states = [self._state, *(self._state.copy() for _ in self._teams[1:])]
+        self._states = [self._state, *(self._state.copy() for _ in self.teams[1:])]
         # The calling thread does a part of the work.
-        others = shares * len(self._teams) - 1
+        others = shares * len(self.teams) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
         self.balance = np.zeros((count, self._size, 0, 2))
         self._history = np.zeros((count * self._size, march.history, self._x.shape[1]))
@@ -155,12 +159,12 @@ class NativeStepper:
             if state["history"].shape != self._history.shape:
                 raise ValueError(UNFIT)
             self._history[:] = state["history"]
-        self._shares = self._share_out(march, shares)
+        self.shares = self._share_out(march, shares)
         # Compile now, so that the first call of `fill` times the integration alone.
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
             fields = Fields(none, none, NOTHING, NOTHING, 0, self.balance)
-            self._march(*self._shares[0][0], fields, 0, 0, 0, 0)
+            self._march(*self.shares[0][0], fields, 0, 0, 0, 0)
 
     def _share_out(self, march: March, shares: int) -> list[tuple[tuple[Any, ...], int, int]]:
         """Return the work of each thread: arguments of the march, first chain, and end of chains.
@@ -170,7 +174,7 @@ class NativeStepper:
         scene = self.chains.scenes[0]
         borders = [share * self._size // shares for share in range(shares + 1)]
         parts: list[tuple[tuple[Any, ...], int, int]] = []
-        for state, member in zip(self._states, self._teams, strict=True):
+        for state, member in zip(self._states, self.teams, strict=True):
             chains = Chains(self.chains.arrays, self._x, self._v, self._history, state, member)
             for begin, end in pairwise(borders):
                 work = march.make_work(chains, march.method)
@@ -207,23 +211,23 @@ class NativeStepper:
         """
         fields = Fields(u, v, *beside, offset, self.balance)
         if not self._pool:
-            return self._move(self._shares[0], fields, until, max_steps)
+            return self._move(self.shares[0], fields, until, max_steps)
         for state in self._states[1:]:
             state[:] = self._state
         try:
             others = [
                 self._pool.submit(self._move, share, fields, until, max_steps)
-                for share in self._shares[1:]
+                for share in self.shares[1:]
             ]
             steps = [
-                self._move(self._shares[0], fields, until, max_steps),
+                self._move(self.shares[0], fields, until, max_steps),
                 *(other.result() for other in others),
             ]
         except BaseException:
             # After any exception, including Ctrl-C, no thread may wait for another.
-            self._teams[0].gate[GIVEN_UP] = 1
+            self.teams[0].gate[GIVEN_UP] = 1
             raise
-        if len(self._teams) == 1:
+        if len(self.teams) == 1:
             return sum(steps)
         # Each thread has the extreme values of its own grains; all threads have made the same
         # steps.
@@ -239,7 +243,7 @@ class NativeStepper:
         The method must be DOP853. The steps and checkpoints are written to `noted`.
         """
         assert self._by_step
-        moved, begin, _ = self._shares[0]
+        moved, begin, _ = self.shares[0]
         fields = Fields(u, v, NOTHING, NOTHING, offset, self.balance)
         return self._by_step(*moved, fields, begin, until, noted)
 
@@ -249,7 +253,7 @@ class NativeStepper:
         try:
             return self._march(*moved, fields, begin, end, until, max_steps)
         except BaseException:
-            self._teams[0].gate[GIVEN_UP] = 1
+            self.teams[0].gate[GIVEN_UP] = 1
             raise
 
     @property

@@ -86,7 +86,7 @@ def is_sealed(folder: Path) -> bool:
         text = (folder / SCENE).read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError):
         return False
-    return order is not None and order["sha256"] == _seal(order, text)
+    return order is not None and order["sha256"] == order_hash(order, text)
 
 
 def engine_of(folder: str | PathLike[str]) -> str:
@@ -128,13 +128,13 @@ def write_order(
         "tolerance": tolerance,
         "best_effort": best_effort,
     }
-    seal = _seal(order, scene.to_text())
+    seal = order_hash(order, scene.to_text())
     sessions = [_session(order["options"])]
     _write_order(folder, order | {"sha256": seal, "sessions": sessions})
     scene.to_toml(folder / SCENE)
 
 
-def _seal(order: dict[str, Any], scene: str) -> str:
+def order_hash(order: dict[str, Any], scene: str) -> str:
     """Return a hash of the run specification, which reveals a change to its files."""
     fixed = {key: value for key, value in order.items() if key not in UNSEALED}
     return hashlib.sha256(f"{json.dumps(fixed, sort_keys=True)}\n{scene}".encode()).hexdigest()
@@ -168,7 +168,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
         old_versions = dict(order["sessions"][-1]["packages"])
         # The folder may come from another person, so only a specification that lmpchain wrote is
         # run.
-        if order["sha256"] != _seal(order, text):
+        if order["sha256"] != order_hash(order, text):
             raise ValueError("they differ from those at the start of the run")
         parallel = "ranks" in options
         if parallel and (ranks is not None or mpi.current_world()):

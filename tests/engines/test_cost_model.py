@@ -78,7 +78,7 @@ def test_work_beyond_a_budget_is_stopped(monkeypatch: pytest.MonkeyPatch):
 
 def test_work_within_a_budget_restores_half_of_its_time(monkeypatch: pytest.MonkeyPatch):
     used = [0.0]
-    monkeypatch.setattr("lmpchain.engines.cost_model._cpu_time", lambda: used[0])
+    monkeypatch.setattr("lmpchain.engines.cost_model.cpu_time", lambda: used[0])
     ends = []
 
     def work() -> None:

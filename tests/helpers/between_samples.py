@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
-from lmpchain.trajectory.between import hermite, maxima
+from lmpchain.trajectory.between import hermite
 from lmpchain.trajectory.between.derivatives import (
     STILL,
     ChainForces,
@@ -41,7 +41,6 @@ def direct(function: Callable) -> Callable:
 bound = direct(hermite.bound)
 fill_polynomial = direct(hermite.fill_polynomial)
 value = direct(hermite.value)
-slope = direct(maxima._slope)
 find_roots = direct(hermite.roots)
 
 

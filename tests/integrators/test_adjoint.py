@@ -134,7 +134,7 @@ def check(
     run = DifferentiableRun(
         scene, SPLITTINGS[method], step * (1 + 0.5 / each), LOOKS, np.array(grains)
     )
-    assert run._law.way == law
+    assert run.law.way == law
     assert run.steps == LOOKS * each
     assert run.step == pytest.approx(step, rel=1e-14)
     lengths = [WIDE(scene.duration) / (LOOKS * each)] * (LOOKS * each)
@@ -202,7 +202,7 @@ def test_derivatives_of_forced_grains_agree_with_differences(name: str, exponent
     law = (
         Way.OTHER
         if exponent != 1.5
-        else DifferentiableRun(scene, SPLITTINGS["verlet"], 1, 1, [1])._law.way
+        else DifferentiableRun(scene, SPLITTINGS["verlet"], 1, 1, [1]).law.way
     )
     check(scene, "rkn4", law, [1, 2, 4, 6])
 
@@ -282,7 +282,7 @@ def test_long_chains_have_the_same_derivatives_back_and_forth(rng: np.random.Gen
     grains = np.array([1, 2, 60, *range(290, 600, 10), 800])
     run = DifferentiableRun(scene, SPLITTINGS["rkn4"], step, 4, grains)
     if kind != Way.UNDONE_SERIES:
-        assert run._law.way == kind
+        assert run.law.way == kind
     weights = rng.normal(size=(2, *run.velocity.shape))
     weights[0] *= scene.highest_frequency
     changes = Inputs(

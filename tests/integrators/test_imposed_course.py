@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.between_samples import direct
 
 from lmpchain import Chain, Drive, Scene
 from lmpchain.integrators.batch import ChainBatch
@@ -10,6 +11,7 @@ from lmpchain.integrators.kernels import right_hand_side
 CHAIN = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1e-3)
 UNIT = CHAIN.time_scale
 TIMES = np.linspace(0.1, 5.9, 30) * UNIT
+COURSE = direct(right_hand_side.call_course)
 WAVE = {"amplitude": 1e-9, "frequency": 0.3 / UNIT}
 DRIVES = {
     "sine": Drive(**WAVE),
@@ -25,11 +27,9 @@ DRIVES = {
 def test_the_compiled_forcing_equals_that_of_the_scene(drive: Drive, order: int):
     scene = Scene(chain=CHAIN, excitation=drive, duration=6 * UNIT, samples=3)
     arrays = ChainBatch([scene]).arrays
-    right_hand_side.addresses()
-    found = [
-        right_hand_side._course(arrays.wave[0], arrays.knots[0], arrays.pieces[0], t, order, t)
-        for t in TIMES
-    ]
+    address, _ = right_hand_side.addresses()
+    given = arrays.wave[0], arrays.knots[0], arrays.pieces[0]
+    found = [COURSE(address, (*given, t, order, t)) for t in TIMES]
     exact = scene.excitation.waveform.at(TIMES, order)
     # Rounding errors near a zero are relative to the largest value.
     assert found == pytest.approx(exact, rel=1e-10, abs=1e-12 * np.abs(exact).max())
@@ -45,7 +45,7 @@ def test_the_branch_on_one_side_of_a_kink_is_evaluated(kind: str, order: int):
         drive = Drive(times=knots, displacement=bump, interpolation=kind)
     scene = Scene(chain=CHAIN, excitation=drive, duration=6 * UNIT, samples=3)
     arrays = ChainBatch([scene]).arrays
-    right_hand_side.addresses()
+    address, _ = right_hand_side.addresses()
     given = arrays.wave[0], arrays.knots[0], arrays.pieces[0]
     kinks = [t for t in scene.excitation.waveform.kinks if t > 0]
     assert kinks
@@ -53,5 +53,5 @@ def test_the_branch_on_one_side_of_a_kink_is_evaluated(kind: str, order: int):
         for side in (-1e-9, 1e-9):
             near = kink + side * UNIT
             (exact,) = scene.excitation.waveform.at(np.array([near]), order)
-            found = right_hand_side._course(*given, kink, order, near)
+            found = COURSE(address, (*given, kink, order, near))
             assert found == pytest.approx(exact, rel=1e-6, abs=1e-16 / UNIT**order)

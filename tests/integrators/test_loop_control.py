@@ -1,4 +1,4 @@
-"""Decisions about the start and end of compiled loops, tested in plain Python."""
+"""Decisions about the start and end of compiled loops, most of them in plain Python."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.between_samples import direct
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
@@ -25,7 +26,6 @@ from lmpchain.integrators.steps import Steps
 share = team.share.py_func
 widen = window.widen.py_func
 ahead = right_hand_side.ahead.py_func
-kink = right_hand_side._kink.py_func
 cut = right_hand_side.cut.py_func
 passes = window.passes.py_func
 rest_ahead = window.rest_ahead.py_func
@@ -119,6 +119,12 @@ def acting(end: float = np.inf, knots: Any = ()) -> Any:
 
 
 def test_the_next_kink_is_the_end_of_a_burst_or_a_knot():
+    _, address = right_hand_side.addresses()
+    call = direct(right_hand_side.call_kink)
+
+    def kink(*given: Any) -> Any:
+        return call(address, given)
+
     burst = acting(3.0).imposed
     spline = acting(knots=(0.0, 1.0, 2.0, 4.0)).imposed
     assert kink(burst.wave, burst.knots, 1.0, 5.0, 1e-9) == 2.0

@@ -415,9 +415,9 @@ def test_threads_share_a_long_chain_or_a_batch():
         (SCENES, 1, 1, 1),
     ):
         run = NativeStepper(ChainBatch(scenes), METHODS["verlet"], own, {}, threads)
-        assert len(run._teams) == teams
-        assert len(run._shares) == works
-        ranges = [share[1:] for share in run._shares]
+        assert len(run.teams) == teams
+        assert len(run.shares) == works
+        ranges = [share[1:] for share in run.shares]
         assert (
             ranges == [(0, 1), (1, 2)]
             if works == 2 and teams == 1

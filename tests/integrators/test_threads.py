@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ def answer(
     assert made == stepper.steps[0]
     kept = stepper.state()
     stepper.close()
-    assert len(stepper._teams) == threads
+    assert len(stepper.teams) == threads
     return [u, v, kept["u"], kept["v"], kept["state"]]
 
 
@@ -241,7 +242,7 @@ def test_no_thread_waits_for_a_missing_thread(monkeypatch: pytest.MonkeyPatch):
     stepper = NativeStepper(
         ChainBatch([scene]), METHODS["verlet"], Steps(2, 1, scene.duration / 6, False), {}, 3
     )
-    submit = stepper._pool.submit
+    submit = ThreadPoolExecutor.submit
     begun = []
 
     def interrupted(*work: Any) -> Any:
@@ -250,7 +251,7 @@ def test_no_thread_waits_for_a_missing_thread(monkeypatch: pytest.MonkeyPatch):
         begun.append(submit(*work))
         return begun[0]
 
-    monkeypatch.setattr(stepper._pool, "submit", interrupted)
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", interrupted)
     u, v = np.zeros((2, 1, scene.samples, GRAINS))
     with pytest.raises(KeyboardInterrupt):
         stepper.fill(u, v, 0, scene.samples - 1, 2**30)

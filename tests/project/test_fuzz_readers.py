@@ -212,7 +212,7 @@ def test_checkpoints_and_tasks_with_the_right_hash(originals: Path, tmp_path: Pa
         if turn.random() < 0.3:
             asked = spoilt(json.loads((run / "run.json").read_text()), turn)
             if isinstance(asked, dict):
-                asked["sha256"] = folder_files._seal(asked, (run / "scene.toml").read_text())
+                asked["sha256"] = folder_files.order_hash(asked, (run / "scene.toml").read_text())
             (run / "run.json").write_text(json.dumps(asked))
         else:
             with np.load(io.BytesIO((run / "checkpoint").read_bytes()[32:])) as kept:

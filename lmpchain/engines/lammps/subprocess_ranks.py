@@ -70,7 +70,7 @@ class SubprocessRanks:
             while True:
                 try:
                     line, _ = listener.accept()
-                    return mpiexec, _connect(line)
+                    return mpiexec, trusted_connection(line)
                 except TimeoutError:
                     if mpiexec.poll() is not None or time.monotonic() > until:
                         raise EngineUnavailable(
@@ -130,7 +130,7 @@ class SubprocessRanks:
         self._output.close()
 
 
-def _connect(end: socket.socket) -> Connection:
+def trusted_connection(end: socket.socket) -> Connection:
     """Return the connection to the other process, after checking that it belongs to this user."""
     # Any user of this machine can connect to the address, and unpickling runs code.
     user = struct.unpack("3i", end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[1]
@@ -152,7 +152,7 @@ def serve(address: str) -> None:
         signal.signal(number, signal.SIG_IGN)
     with socket.socket(socket.AF_UNIX) as end:
         end.connect(f"\0{address}")
-        line = _connect(end)
+        line = trusted_connection(end)
     line.send(pids)
     communicator: MpiRanks | None = None
     while True:

@@ -5,6 +5,7 @@ And what the engine chooses and refuses.
 
 import math
 import sys
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,10 +30,8 @@ from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.lammps import communicators, library, subprocess_ranks
 from lmpchain.engines.lammps.column import Contact, LammpsColumn
 from lmpchain.engines.lammps.engine import gauge_diameter
-from lmpchain.engines.lammps.stepper import _join, word
-from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
+from lmpchain.engines.lammps.stepper import word
 from lmpchain.engines.lammps.viscosity import LammpsGround
-from lmpchain.engines.lammps.worker import LocalState
 from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.util import mpi
 
@@ -74,8 +73,9 @@ def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
     monkeypatch.setattr(Contact, "same", lambda *pair: compared.append(pair) or same(*pair))
     chain = column(3000, material=["steel", "ptfe", "ptfe"] * 1000)
     made = LammpsColumn(struck(chain, 1e-3, 1e-5), 0.0)
-    stiffness = {pair: found.stiffness for pair, found in made._types_and_contacts[1].items()}
-    pairs = [tuple(sorted(pair)) for pair in zip(made.types, made.types[1:], strict=False)]
+    lines = (line.split() for line in made.coefficients[1:])
+    stiffness = {(int(i), int(j)): float(k) for i, j, _, k, *_ in lines}
+    pairs = [tuple(sorted(pair)) for pair in pairwise(made.types)]
     np.testing.assert_allclose(
         [stiffness[pair] * math.sqrt(2.5e-4) for pair in pairs], chain.contact_constants, rtol=1e-13
     )
@@ -124,14 +124,6 @@ def test_equal_springs_of_the_ground_pull_grains_back_to_their_place():
         (Law("k*u*cos(w*t)", k=3e5, w=1e4), True, 0.0),
     ):
         assert LammpsGround(law, rests).spring == stiffness
-
-
-def test_parts_of_ranks_are_joined_from_the_top():
-    def share(first: int, last: int) -> LocalState:
-        return LocalState(first, *(sign * np.arange(first, last) for sign in (-1, 1, 5)), True)
-
-    for found, sign in zip(_join([share(3, 5), share(0, 0), share(0, 3)]), (-1, 1, 5), strict=True):
-        assert found.tolist() == (sign * np.arange(5)).tolist()
 
 
 # --- choices
@@ -270,25 +262,10 @@ def test_choice_of_communicator(monkeypatch):
         gather(3, "none")
 
 
-def test_last_messages_of_ranks(tmp_path):
-    ranks = SubprocessRanks.__new__(SubprocessRanks)
-    for lines, reason in (
-        ("", "the reason is unknown"),
-        ("first\nlast |\n", "last"),
-        ("error: no such host\nmore", "no such host"),
-        ("== BAD TERMINATION ==\n= EXIT CODE: 9 =\nlast", "EXIT CODE: 9"),
-        ("one\nValueError: two\nOSError: three", "ValueError: two"),
-    ):
-        with open(tmp_path / "said", "w+b") as said:
-            ranks._output = said
-            said.write(lines.encode())
-            assert ranks._last_words() == reason
-
-
 def test_errors_of_lammps_are_distinguished_from_others(monkeypatch):
-    class Failing:
-        closed = False
+    closed = []
 
+    class Failing:
         def __init__(self, *_):
             pass
 
@@ -296,7 +273,7 @@ def test_errors_of_lammps_are_distinguished_from_others(monkeypatch):
             raise Exception(text)
 
         def close(self):
-            self.closed = True
+            closed.append(self)
 
     monkeypatch.setattr(communicators, "Worker", Failing)
     monkeypatch.setattr(mpi, "alone", lambda: None)
@@ -309,7 +286,7 @@ def test_errors_of_lammps_are_distinguished_from_others(monkeypatch):
         with pytest.raises(kind, match=message):
             serial.ask("commands", text)
     serial.close()
-    assert serial._rank.closed
+    assert len(closed) == 1
 
 
 def test_requirements_on_the_library(monkeypatch):

@@ -35,7 +35,7 @@ from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.lammps.stepper import LammpsStepper
 from lmpchain.engines.lammps.subprocess_ranks import gather
-from lmpchain.engines.lammps.worker import Worker
+from lmpchain.engines.lammps.worker import LocalState, Worker
 from lmpchain.integrators.methods import VERLET
 from lmpchain.integrators.steps import Steps
 
@@ -172,8 +172,9 @@ def test_unlike_contacts_share_few_types(rng):
     chain = Chain(grains=200, diameter=1e-3, contact_constants=constants, exponent=1.5)
     column = LammpsColumn(struck(chain, 1e-4, 1e-5), gauge=1e-6)
     assert max(column.types) < 40
-    contacts = column._types_and_contacts[1]
-    given = [contacts[tuple(sorted(pair))].stiffness for pair in pairwise(column.types)]
+    lines = (line.split() for line in column.coefficients[1:])
+    stiffness = {(int(i), int(j)): float(k) for i, j, _, k, *_ in lines}
+    given = [stiffness[min(pair), max(pair)] for pair in pairwise(column.types)]
     radius = column.diameters[0] / 4
     assert np.array(given) * np.sqrt(radius) == pytest.approx(constants, rel=1e-14)
 
@@ -233,25 +234,31 @@ def stepping(scene: Scene, steps: int = 1, communicator: Any = None) -> Iterator
 def test_faults_that_lammps_does_not_report():
     """With a single neighbour list, LAMMPS would continue after all of these faults."""
     for spoil, message in (
-        (lambda s: s._z.__setitem__(3, np.nan), "heights are not finite"),
-        (lambda s: s._z.__setitem__(3, s._z[4]), "passed through another"),
-        (lambda s: s._communicator._rank._x[:, 0].__setitem__(3, 1e-9), "buckled sideways"),
+        (lambda z, _: z.__setitem__(3, np.nan), "heights are not finite"),
+        (lambda z, _: z.__setitem__(3, z[4]), "passed through another"),
+        (lambda _, ranks: ranks.ask("commands", "set atom 4 x 1e-9"), "buckled sideways"),
     ):
-        with stepping(small()) as column:
-            spoil(column)
+        ranks = communicators.Serial("none")
+        with stepping(small(), communicator=ranks) as column:
+            spoil(ranks.ask("share")[0].z, ranks)
             with pytest.raises(RunFailed, match=message):
                 column.fill(*np.zeros((2, 1, 1, 25)), offset=1, until=1, max_steps=1)
 
 
 class Copies(communicators.Serial):
-    """A communicator that returns copies, like that of other processes."""
+    """A communicator that returns copies of parts in any order, like that of other processes."""
 
     def ask(self, name: str, *values: Any) -> list[Any]:
-        return deepcopy(super().ask(name, *values))
+        answers = deepcopy(super().ask(name, *values))
+        if name != "share":
+            return answers
+        parts = [slice(7, None), slice(0), slice(7)]
+        ((_, *fields, straight),) = answers
+        return [LocalState(s.start or 0, *(f[s] for f in fields), straight) for s in parts]
 
 
 def test_the_state_between_samples_is_that_of_the_last_step():
-    """The motion of other processes is not read at every pause."""
+    """The motion of other processes is not read at every pause, and is joined from the top."""
     states = []
     for kind in (communicators.Serial, Copies):
         with stepping(small(), 100, kind("none")) as column:
@@ -270,8 +277,9 @@ def test_the_state_between_samples_is_that_of_the_last_step():
 
 def test_a_breakdown_before_the_next_sample_is_detected():
     """Reading many grains costs a part of a step, so that not every pause is checked."""
-    with stepping(small(), 10**6) as column:
-        column._communicator._rank._x[3, 2] = np.nan
+    ranks = communicators.Serial("none")
+    with stepping(small(), 10**6, ranks) as column:
+        ranks.ask("share")[0].z[3] = np.nan
         room = np.zeros((2, 1, 1, 25))
         for _ in range(31):
             column.fill(*room, offset=1, until=1, max_steps=1)

@@ -250,14 +250,14 @@ def test_another_user_cannot_answer_for_the_ranks(monkeypatch: pytest.MonkeyPatc
     """Data from the socket can run any code."""
     ours, theirs = socket.socketpair()
     with theirs:
-        line = subprocess_ranks._connect(ours)
+        line = subprocess_ranks.trusted_connection(ours)
         theirs.sendall(b"\0\0\0\4" + pickle.dumps(7, 0)[:4])
         assert line.recv() == 7
         line.close()
     ours, theirs = socket.socketpair()
     monkeypatch.setattr(os, "getuid", lambda: -1)
     with ours, theirs, pytest.raises(EngineUnavailable, match="another user answers"):
-        subprocess_ranks._connect(ours)
+        subprocess_ranks.trusted_connection(ours)
 
 
 @pytest.fixture
@@ -274,21 +274,25 @@ def launch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("answer", "message"),
+    ("answer", "output", "message"),
     [
-        ([1], "starts 2 processes that cannot communicate: it belongs to another MPI"),
-        (None, "a rank of LAMMPS died, and all 2 ranks with it: no memory"),
-        (EngineUnavailable("no LAMMPS"), "^no LAMMPS$"),
+        ([1], "", "starts 2 processes that cannot communicate: it belongs to another MPI"),
+        (EngineUnavailable("no LAMMPS"), "", "^no LAMMPS$"),
+        (None, "error: no memory\nmore", "LAMMPS died, and all 2 ranks with it: no memory$"),
+        (None, "", ": the reason is unknown$"),
+        (None, "first\nlast |\n", ": last$"),
+        (None, "== BAD TERMINATION ==\n= EXIT CODE: 9 =\nlast", ": EXIT CODE: 9$"),
+        (None, "one\nValueError: two\nOSError: three", ": ValueError: two$"),
     ],
 )
-def test_answers_of_ranks_that_do_not_run(answer: Any, message: str, launch: Any):
+def test_answers_of_ranks_that_do_not_run(answer: Any, output: str, message: str, launch: Any):
     data = pickle.dumps(answer)
     send = f"end.sendall({len(data).to_bytes(4)!r} + {data!r}); end.recv(1)\n"
     launch(
         f"#!{sys.executable} -ES\n"
         "import socket, sys\n"
         f"assert sys.argv[1:3] == ['-n', '2'] and sys.argv[4:6] == ['-m', {RANKS!r}]\n"
-        "sys.stderr.write('error: no memory\\n')\n"
+        f"sys.stderr.write({output!r})\n"
         "end = socket.socket(socket.AF_UNIX)\n"
         f"end.connect('\\0' + sys.argv[-1])\n{'' if answer is None else send}"
     )
