@@ -39,19 +39,6 @@ from lmpchain.util.files import (
 NO_PROCESS = 2**22 + 1  # Above the largest process number, PID_MAX_LIMIT of Linux.
 
 
-def in_a_fork(work: Any) -> None:
-    """Call a function in another process that has not written to any folder before."""
-
-    def child() -> None:
-        files._sweep.cache_clear()
-        work()
-
-    process = get_context("fork").Process(target=child)
-    process.start()
-    process.join()
-    assert process.exitcode == 0
-
-
 # --- atomic writing
 
 
@@ -98,13 +85,21 @@ def test_content_is_on_disk_before_the_name(tmp_path: Path, monkeypatch: Any):
 
 
 def test_a_file_of_another_process_is_not_removed(tmp_path: Path):
+    begun = get_context("fork").Event()
+
     def write() -> None:
+        assert begun.wait(600)
         with replacing(tmp_path / "b.nc") as aside:
             aside.write_text("of the other")
 
+    # The other process has not written to this folder before.
+    process = get_context("fork").Process(target=write, daemon=True)
+    process.start()
     with replacing(tmp_path / "a.nc") as aside:
         aside.write_text("of this one")
-        in_a_fork(write)
+        begun.set()
+        process.join()
+    assert process.exitcode == 0
     assert (tmp_path / "a.nc").read_text() == "of this one"
     assert names(tmp_path) == ["a.nc", "b.nc"]
 
