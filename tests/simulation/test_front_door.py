@@ -4,13 +4,14 @@ Warnings, files of a folder, costs of a batch.
 """
 
 import hashlib
+import itertools
 import json
 import math
+import mmap
 import re
 import signal
 import time
 import warnings
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,15 +24,16 @@ from lmpchain import (
     Chain,
     Impulse,
     InputError,
+    Profile,
     Scene,
     Stopped,
     ToleranceNotMet,
     engines,
     resume,
     simulate,
+    simulate_many,
 )
-from lmpchain.engines import Native
-from lmpchain.engines.step_control import first_attempt
+from lmpchain.engines import Native, step_control
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation import api, folder_files, many, run_folder
 from lmpchain.simulation.folder_files import (
@@ -171,13 +173,13 @@ def test_invalid_options():
         simulate(SCENE, tolerance=1.0)
 
 
-def test_a_result_larger_than_memory_states_its_size(monkeypatch):
+def test_a_result_larger_than_memory_states_its_size(monkeypatch, small_blocks):
     def full(*_):
         raise MemoryError
 
-    monkeypatch.setattr(api, "_zeros", full)
-    scene = SCENE.replace(grains=[1, 2, 3], chain=CHAIN.replace(grains=400))
-    with pytest.raises(InputError, match=r"samples: 2\.93e-06 GB of samples do not fit into .* GB"):
+    monkeypatch.setattr(mmap, "mmap", full)
+    scene = SCENE.replace(grains=range(1, 5001), chain=CHAIN.replace(grains=10_000))
+    with pytest.raises(InputError, match=r"samples: 0\.00488 GB of samples do not fit into .* GB"):
         simulate(scene, "native")
 
 
@@ -188,17 +190,19 @@ def test_a_run_that_exceeds_the_memory_does_not_start(monkeypatch):
         simulate(SCENE, "native")
 
 
-def test_columns_beyond_the_wave_take_no_memory():
+def test_columns_beyond_the_wave_take_no_memory(small_blocks):
     """The condition is that fewer than half of many columns are written."""
-    wide, narrow = api._zeros((5, 10_000), 100), api._zeros((5, 100), 10)
-    assert wide.shape == (5, 10_000)
-    assert narrow.shape == (5, 100)
-    assert not wide.any()
-    assert not wide.flags.owndata
-    assert narrow.flags.owndata
-    assert api._zeros((5, 10_000), 5_001).flags.owndata
-    wide[:, 7] = 1.0
-    assert wide.sum() == 5
+    wide, narrow = (SCENE.replace(chain=CHAIN.replace(grains=n)) for n in (10_000, 200))
+    moves = np.zeros(10_000)
+    moves[[0, 5_000]] = 1e-4
+    answers = [
+        simulate(scene, "native")
+        for scene in (wide, narrow, wide.replace(excitation=Profile(velocity=moves)))
+    ]
+    assert [t.velocity.shape for t in answers] == [(61, 10_000), (61, 200), (61, 10_000)]
+    assert [t.velocity.flags.owndata for t in answers] == [False, True, True]
+    assert np.array_equal(answers[0].velocity[:, :200], answers[1].velocity)
+    assert not answers[0].velocity[:, 200:].any()
 
 
 def test_the_progress_bar_shows_progress_and_error(monkeypatch, small_blocks):
@@ -586,16 +590,12 @@ def test_the_cost_of_a_batch_is_divided(monkeypatch):
 
     Counts are of the batch.
     """
-    scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in (1.0e-4, 1.1e-4, 1.2e-4)]
     engine = Native()
-    attempts = [
-        first_attempt(partial(engine.propose, scene), 1e-6)._replace(planned_s=0.3, spent_s=0.6)
-        for scene in scenes
-    ]
-    honest = engine.start
+    honest, propose = engine.start, engine.propose
     costs = []
 
     def start(parts, candidate):
+        assert len(parts) == 3
         run = honest(parts, candidate)
         cost = run.cost
 
@@ -607,29 +607,37 @@ def test_the_cost_of_a_batch_is_divided(monkeypatch):
         return run
 
     monkeypatch.setattr(engine, "start", start)
-    for t, following, missed in many._solve(engine, scenes, attempts, 1e-6):
-        assert (following, missed) == (None, "")
+    # The steps of the first attempts are too long.
+    monkeypatch.setattr(engine, "propose", lambda scene, _: propose(scene, 1e-2))
+    # Each proposal takes 0.3 s.
+    monkeypatch.setattr(step_control, "clock", itertools.count(0.0, 0.3).__next__)
+    answers = simulate_many([SCENE] * 3, 1e-10, engine)
+    earlier = len(costs) - 1
+    assert earlier > 0
+    for t in answers:
         assert t.cost.integration_s == pytest.approx(1.0, rel=1e-12)
-        assert t.cost.estimate_s == pytest.approx((1.5 + 3 * 0.6) / 3, rel=1e-12)
+        assert t.cost.estimate_s == pytest.approx(1.5 / 3 + earlier * (3.0 + 1.5) / 3, rel=1e-12)
         assert t.cost.setup_s == pytest.approx((0.9 + 3 * 0.3) / 3, rel=1e-12)
-        assert t.cost.steps == costs[0].steps
-    hurried = [attempt._replace(tolerance=1e-12) for attempt in attempts]
-    for _, following, missed in many._solve(engine, scenes, hurried, 1e-12):
-        assert missed == ""
-        assert following.spent_s == pytest.approx(1.0 + (1.5 + 3 * 0.6) / 3, rel=1e-12)
-        assert following.number == 2
+        assert t.cost.steps == costs[-1].steps
 
 
-def test_batches_fit_into_the_cache():
-    wide = SCENE.replace(samples=2**11 // 12 * 8)
-    size = many.BATCH_NUMBERS // (wide.samples * 12)
-    scenes = dict(enumerate([wide] * (2 * size + 1)))
-    pieces = list(many._split(scenes, [list(scenes)]))
-    assert [len(piece) for piece in pieces] == [size, size, 1]
-    assert [place for piece in pieces for place in piece] == list(scenes)
-    assert size * wide.samples * 12 <= many.BATCH_NUMBERS < (size + 1) * wide.samples * 12
-    huge = SCENE.replace(samples=2**18)
-    assert list(many._split({0: huge, 1: huge}, [[0, 1]])) == [[0], [1]]
+def test_batches_fit_into_the_cache(monkeypatch):
+    engine = Native()
+    honest = engine.start
+    sizes = []
+    monkeypatch.setattr(engine, "start", lambda *of: sizes.append(len(of[0])) or honest(*of))
+    strikes = [Impulse(velocity=1e-4 + n * 1e-12) for n in range(7)]
+    scenes = [SCENE.replace(excitation=strike) for strike in strikes]
+    for numbers, expected in (
+        (3 * 61 * 12, [3, 3, 1]),
+        (3 * 61 * 12 - 1, [2, 2, 2, 1]),
+        (61 * 12 - 1, [1] * 7),
+    ):
+        monkeypatch.setattr(many, "BATCH_NUMBERS", numbers)
+        answers = simulate_many(scenes, engine=engine)
+        assert [t.scene for t in answers] == scenes
+        assert sizes == expected
+        sizes.clear()
 
 
 def test_scenes_with_a_narrow_light_cone_are_solved_alone():

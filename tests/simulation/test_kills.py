@@ -40,7 +40,6 @@ from lmpchain.integrators.steps import Steps
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.folder_files import is_run
 from lmpchain.simulation.run_folder import status
-from lmpchain.util import files
 
 CHAIN = column(200)
 STRIKE = Impulse(velocity=8.57e-3)
@@ -95,7 +94,7 @@ def fallback(monkeypatch: pytest.MonkeyPatch):
 @pytest.fixture
 def busy_disk(monkeypatch: pytest.MonkeyPatch):
     """Save a checkpoint after every four samples, without waiting for the disk."""
-    monkeypatch.setattr(files, "_to_disk", lambda _: None)
+    monkeypatch.setattr(os, "fsync", lambda _: None)
     monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
     intervals = run_folder.INTERVALS._replace(checkpoint_s=0.0, checkpoint_share=1e9)
     monkeypatch.setattr(run_folder, "INTERVALS", intervals)

@@ -283,8 +283,8 @@ def test_the_expected_time_is_that_of_the_remaining_scenes(tmp_path: Path):
     engine = engines.Native()
     plan = read_sweep(ASKED)
     costs = [
-        engine.propose(engine.part(tasks._alone(plan, number)), 1e-6).cost_s
-        for number in range(plan.count)
+        engine.propose(engine.part(scene), 1e-6).cost_s
+        for scene in tasks.scenes(plan, 0, plan.count, together=False)
     ]
     few = ASKED | {"grid": {"chain.gravity": GRAVITIES[:4]}}
     sweep(few, tmp_path / "begun")

@@ -18,7 +18,6 @@ from helpers.thinned import thinned
 from lmpchain import InputError, load_sweep, sweep
 from lmpchain.cli.command_line import main
 from lmpchain.sweeps import store, tasks
-from lmpchain.util import files
 
 ASKED = {
     "scene": SCENE,
@@ -157,11 +156,11 @@ def test_an_incomplete_part_is_computed_again(
 def test_results_are_on_disk_before_they_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Shards are on disk before their seal, which is on disk before their parts are removed."""
     events: list[tuple[str, str]] = []
-    honest = {"flush": files._to_disk, "replace": os.replace, "unlink": Path.unlink}
+    honest = {"flush": os.fsync, "replace": os.replace, "unlink": Path.unlink}
 
-    def flush(path: Path) -> None:
-        events.append(("flush", str(path)))
-        honest["flush"](path)
+    def flush(descriptor: int) -> None:
+        events.append(("flush", os.readlink(f"/proc/self/fd/{descriptor}")))
+        honest["flush"](descriptor)
 
     def replace(source: Any, target: Any) -> None:
         events.append(("name", str(target)))
@@ -171,7 +170,7 @@ def test_results_are_on_disk_before_they_count(tmp_path: Path, monkeypatch: pyte
         events.append(("gone", str(path)))
         honest["unlink"](path, missing_ok)
 
-    monkeypatch.setattr(files, "_to_disk", flush)
+    monkeypatch.setattr(os, "fsync", flush)
     monkeypatch.setattr(os, "replace", replace)
     monkeypatch.setattr(Path, "unlink", unlink)
     sweep(ASKED, tmp_path / "sweep")

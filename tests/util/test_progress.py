@@ -76,7 +76,7 @@ def test_a_bar_counts_finished_work(bars: list[Tqdm]):
     assert shown.options == options | {"bar_format": RATE, "delay": 0.0}
     assert shown.calls == [1, 0.5, 2.5, "native", ("slow", False), ("shown", 7), "closed"]
     with ProgressBar(3):
-        compilation.announce_nothing()
+        pass
     options = {"total": 3, "desc": "", "unit": "", "initial": 0, "leave": False}
     assert bars[1].options == options | {"bar_format": COUNT, "delay": 0.0}
     with ProgressBar(3, shown=False) as bar:
@@ -254,10 +254,10 @@ def test_the_bar_of_nested_compilations_follows_the_clock(
         change("numba:compile", {"dispatcher": SimpleNamespace(py_func=function)})
 
     def long() -> None:
-        compilation.announce_nothing()
+        pass
 
     def other() -> None:
-        compilation.announce_nothing()
+        pass
 
     compilation.compiled_once("what is long", 30)(long)
     for end in (50.0, 25.0):
