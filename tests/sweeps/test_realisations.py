@@ -5,9 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lmpchain import Chain, Scene
-from lmpchain.chain.equilibrium import derive_chain
-from lmpchain.sweeps import tasks
+from lmpchain import Chain, InputError, Scene
 from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.tasks import scenes
 
@@ -139,55 +137,47 @@ def test_a_copy_of_a_chain_derived_together_has_its_grains(chain: str, key: str)
         assert copy.wall_constants == pytest.approx(alone.wall_constants, rel=1e-12)
 
 
-@pytest.mark.parametrize("spoilt", ["stiffness", "masses", "compression", "drawn"])
-def test_an_invalid_chain_is_derived_alone(spoilt: str):
-    """A chain made alone is checked, and an error names its fault."""
-    chain = Chain(grains=3, diameter=1e-3)
-    masses = np.full((3, 3), 1e-6)
-    constants = np.full((3, 2), 1e9)
-    drawn = {"masses": masses, "contact_constants": constants}
-    checked = {"material.poissons_ratio": np.full((3, 3), 0.2)}
-    if spoilt == "stiffness":
-        constants[1, 0] = np.inf
-    elif spoilt == "masses":
-        masses[1, 0] = -1.0
-    elif spoilt == "compression":
-        constants[1, 0] = 1.0
-    else:
-        checked["material.poissons_ratio"][1, 2] = 0.6
-    with np.errstate(all="ignore"):
-        equilibria = derive_chain(chain, drawn)
-        sound = tasks._sound(chain, equilibria, checked)
-        undrawn = tasks._sound(chain, equilibria, {})
-    assert sound.tolist() == [True, False, True]
-    # Random contacts alone may be soft.
-    expected = [True, spoilt in ("compression", "drawn"), True]
-    assert undrawn.tolist() == expected
+POISSON = "chain.material.poissons_ratio"
+INVALID: list[tuple[str, str, dict[str, Any]]] = [
+    ("column", "chain.masses", {"low": -6e-8, "high": 2e-6}),
+    ("column", "chain.diameter", {"low": -3e-5, "high": 1e-3}),
+    ("column", "chain.contact_constants", {"low": 30.0, "high": 1e9, "log": True}),
+    ("column", "chain.contact_constants", {"low": 1e8, "high": 1e224, "log": True}),
+    ("vacuum", "chain.contact_constants", {"low": -3e7, "high": 1e9}),
+    ("column", "chain.material.density", {"low": -90.0, "high": 3e3}),
+    ("column", "chain.material.youngs_modulus", {"low": -3e9, "high": 1e11}),
+    # Some are infinite.
+    ("vacuum", "chain.material.youngs_modulus", {"mean": 8e307, "deviation": 4e307, "log": True}),
+    ("column", POISSON, {"low": -1.03, "high": 0.0}),
+    ("column", POISSON, {"low": 0.5 - 2e-15, "high": float(np.nextafter(0.5, 1.0))}),
+]
 
 
-def test_the_limits_of_drawn_numbers_are_those_of_a_chain():
-    chain = Chain(grains=3, diameter=1e-3)
-    constants = np.full((2, 2), 1e9)
-    poisson = "material.poissons_ratio"
-    with np.errstate(all="ignore"):
-        equilibria = derive_chain(chain, {"contact_constants": constants})
-        for key, value, allowed in (
-            (poisson, -1.0, False),
-            (poisson, -0.999, True),
-            (poisson, 0.5, True),
-            (poisson, 0.501, False),
-            ("material.density", 0.0, False),
-            ("material.density", 1e-3, True),
-            ("material.density", np.inf, False),
-            ("masses", np.nan, False),
-            ("diameter", 3.0, True),
-        ):
-            values = np.full((2, 3), 0.2)
-            values[1, 2] = value
-            sound = tasks._sound(chain, equilibria, {key: values})
-            assert sound.tolist() == [True, allowed], (key, value)
-        # Without gravity and load, a contact without stiffness has an equilibrium.
-        constants[1, 1] = 0.0
-        loose = chain.replace(gravity=0.0)
-        equilibria = derive_chain(loose, {"contact_constants": constants})
-        assert tasks._sound(loose, equilibria, {}).tolist() == [True, False]
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("chain", "key", "law"), INVALID)
+def test_an_invalid_chain_is_derived_alone(chain: str, key: str, law: dict[str, Any]):
+    """A chain made alone is checked, and an error names its fault; others are made together."""
+    plan = read_sweep(asked(chain, "first", {"seed": 5, "realisations": 20, key: law}))
+    alone = scenes(plan, 0, 20, together=False)
+    # Scenes are made together if the first one is valid.
+    first = next((n for n, scene in enumerate(alone) if isinstance(scene, Scene)), 0)
+    alone = alone[first:]
+    assert any(isinstance(scene, InputError) for scene in alone)
+    together = scenes(plan, first, len(alone), together=True)
+    for ours, theirs in zip(together, alone, strict=True):
+        if isinstance(theirs, InputError):
+            assert str(ours) == str(theirs)
+        else:
+            assert isinstance(ours, Scene)
+            assert {"masses", "contact_constants"} <= ours.chain.given().keys()
+            single = numbers(theirs)
+            assert all(alike(value, single[name]) for name, value in numbers(ours).items())
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_random_contacts_may_be_soft():
+    """Random contacts alone may be compressed by more than a tenth of the diameter."""
+    table = asked("column", "displaced", {"m": 1, "of": "constant", "realisations": 10})
+    table["scene"]["chain"]["material"] = HARD | {"youngs_modulus": 3e5}
+    chains = [scene.chain for scene in scenes(read_sweep(table), 0, 10, together=True)]
+    assert max(chain.contacts.overlap.max() for chain in chains) > 0.1 * 1e-3

