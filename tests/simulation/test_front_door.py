@@ -195,10 +195,8 @@ def test_columns_beyond_the_wave_take_no_memory(small_blocks):
     wide, narrow = (SCENE.replace(chain=CHAIN.replace(grains=n)) for n in (10_000, 200))
     moves = np.zeros(10_000)
     moves[[0, 5_000]] = 1e-4
-    answers = [
-        simulate(scene, "native")
-        for scene in (wide, narrow, wide.replace(excitation=Profile(velocity=moves)))
-    ]
+    fast = wide.replace(excitation=Profile(velocity=moves))
+    answers = [simulate(scene, "native") for scene in (wide, narrow, fast)]
     assert [t.velocity.shape for t in answers] == [(61, 10_000), (61, 200), (61, 10_000)]
     assert [t.velocity.flags.owndata for t in answers] == [False, True, True]
     assert np.array_equal(answers[0].velocity[:, :200], answers[1].velocity)
@@ -626,13 +624,9 @@ def test_batches_fit_into_the_cache(monkeypatch):
     honest = engine.start
     sizes = []
     monkeypatch.setattr(engine, "start", lambda *of: sizes.append(len(of[0])) or honest(*of))
-    strikes = [Impulse(velocity=1e-4 + n * 1e-12) for n in range(7)]
-    scenes = [SCENE.replace(excitation=strike) for strike in strikes]
-    for numbers, expected in (
-        (3 * 61 * 12, [3, 3, 1]),
-        (3 * 61 * 12 - 1, [2, 2, 2, 1]),
-        (61 * 12 - 1, [1] * 7),
-    ):
+    scenes = [SCENE.replace(excitation=Impulse(velocity=1e-4 + n * 1e-12)) for n in range(7)]
+    one = SCENE.samples * 12
+    for numbers, expected in (3 * one, [3, 3, 1]), (3 * one - 1, [2, 2, 2, 1]), (one - 1, [1] * 7):
         monkeypatch.setattr(many, "BATCH_NUMBERS", numbers)
         answers = simulate_many(scenes, engine=engine)
         assert [t.scene for t in answers] == scenes

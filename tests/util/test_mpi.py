@@ -30,7 +30,9 @@ def _without_mpirun(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Remove all traces of mpirun, and forget the world that a test has joined or left."""
     for key in (*SIZES, *SLURM):
         monkeypatch.delenv(key, raising=False)
+    importlib.reload(mpi)
     yield
+    monkeypatch.undo()
     importlib.reload(mpi)
 
 

@@ -353,7 +353,6 @@ def test_the_cache_key_depends_on_imported_neighbours(
         return toy.half._cache._cache_file._version.split()[-1]
 
     first = stamp("a")
-    assert len(first) == 64, "a hash follows the version of Numba"
     assert stamp("b", other="called = 2") == first
     for name in ("toy", "beside", "deep", "kernel"):
         texts_of = {name: f"{texts[name]}\n# changed"}
