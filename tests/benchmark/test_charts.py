@@ -223,8 +223,8 @@ def test_title_and_footer_describe_the_measurement():
     label = SCENE.excitation.label
     number = f"{SCENE.strike_number:.2g}"
     title = f"8 grains, g = 9.81 m/s², {label} (strike number {number}), at t = 4 µs"
-    assert picture._suptitle.get_text() == title
-    footer = " ".join(picture._supxlabel.get_text().split())
+    assert picture.get_suptitle() == title
+    footer = " ".join(picture.get_supxlabel().split())
     for words in (
         "Reference: a series; its error is 2e-15, "
         "and 3 points below 10 times this error are left out",
@@ -232,7 +232,7 @@ def test_title_and_footer_describe_the_measurement():
     ):
         assert words in footer
     vacuum = scene_of(Chain(grains=8, diameter=1e-3, gravity=0.0), Impulse(velocity=2e-3), 4e-6)
-    title = replace(RESULT, scene=vacuum).plot().figure._suptitle.get_text()
+    title = replace(RESULT, scene=vacuum).plot().figure.get_suptitle()
     assert title == f"8 grains, no gravity, {vacuum.excitation.label} (sonic vacuum), at t = 4 µs"
 
 
@@ -428,7 +428,15 @@ def test_without_a_strike_velocities_are_in_m_per_s():
 
 def test_a_wide_wave_is_shown_around_its_fastest_grain():
     """At most 60 grains are shown: 30 on either side of the fastest, or up to an end."""
-    from lmpchain.benchmark.comparison import _window
+    truth = Reference(LONG.time, *wave(LONG), 1e-12, "made up")
+    comparison = compare([answer("native", LONG, 1e-3)], truth)
+    ax = figure().subplots()
+
+    def drawn(velocity: np.ndarray) -> tuple[float, float]:
+        ax.clear()
+        replace(comparison, reference=replace(truth, velocity=velocity[None])).plot(ax)
+        low, high = ax.get_xlim()
+        return low + 0.5, high - 0.5
 
     velocity = np.ones(200)
     for fastest, shown in (
@@ -440,16 +448,16 @@ def test_a_wide_wave_is_shown_around_its_fastest_grain():
     ):
         velocity[:] = 1.0
         velocity[fastest] = -2.0
-        assert _window(velocity) == shown
+        assert drawn(velocity) == shown
     for grains, shown in ((60, (1, 60)), (61, (1, 60)), (59, (1, 59))):
-        assert _window(np.append(2.0, np.ones(grains - 1))) == shown
-    assert _window(np.zeros(200)) == (1, 60)
-    assert _window(np.zeros(20)) == (1, 20)
+        assert drawn(np.append(2.0, np.ones(grains - 1))) == shown
+    assert drawn(np.zeros(200)) == (1, 60)
+    assert drawn(np.zeros(20)) == (1, 20)
     still = np.zeros(200)
     still[100] = 1.0
     still[90] = 1.1e-3
     still[80] = 0.9e-3
-    assert _window(still) == (87, 105)
+    assert drawn(still) == (87, 105)
 
 
 def test_errors_over_time_and_cost_are_drawn_to_scale():

@@ -15,7 +15,7 @@ from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Law, Scene, simulate
-from lmpchain.benchmark.reference import _first_root, expected_seconds, reference
+from lmpchain.benchmark.reference import expected_seconds, reference
 from lmpchain.benchmark.truth import as_trajectory, truth
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
@@ -160,23 +160,24 @@ def test_the_reference_states_its_method():
     assert ("18 digits" in found.method) == (np.finfo(np.longdouble).precision == 18)
 
 
-def test_steps_end_at_the_first_root_of_an_overlap():
-    """The step is the root within rounding, or a lower bound of it, or the end of the interval."""
-    wide = np.longdouble
-    for roots in ([0.3], [0.3, 0.31], [0.9, 0.2], [0.5, 0.5], [1e-3, 0.7], [0.4, 2.0, 3.0]):
-        gap = np.ones(1, dtype=wide)
-        for root in roots:
-            gap = np.convolve(gap, np.array([1, -1 / wide(root)], dtype=wide))
-        place = _first_root(np.append(gap, np.zeros(2, dtype=wide)), wide(1))
-        first = min(roots)
-        digits = 1e-16 if EXTENDED else 1e-14
-        assert place <= wide(first) * (1 + wide(digits))
-        assert place >= wide(first) * (1 - wide(digits if roots.count(first) == 1 else 1e-6))
-    never = np.array([1, -2, 1.25], dtype=wide)  # It is 0.2 at its minimum, at 0.8.
-    assert _first_root(never, wide(1)) >= 1
-    rising = np.array([0.1, 1, 3], dtype=wide)
-    assert _first_root(rising, wide(0.7)) >= 0.7
-    assert _first_root(np.array([1, -0.5, 0, 0], dtype=wide), wide(1.5)) >= 1.5
+@pytest.mark.parametrize("beyond", [-1e-3, 0.0, 1e-8, 1e-5, 1e-2, 1.0])
+def test_a_spring_that_opens_for_a_moment_has_its_exact_motion(beyond: float):
+    """The motion of a loaded grain is a cosine, and a parabola while its linear spring is open."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=1.0)
+    constant = np.longdouble(chain.contacts.constant[1])
+    omega = np.sqrt(constant / chain.masses[0])
+    rest = chain.top_load / constant
+    start = Displacement(displacement=float(rest * (1 + beyond)))
+    wave = start.displacement / rest
+    # Phases of the opening and of the greatest height, about which the motion is symmetric.
+    root = np.sqrt(np.maximum(wave**2 - 1, 0))
+    turn = np.arctan2(root, np.longdouble(-1)) + root
+    scene = scene_of(chain, start, float(2 * turn / omega), 41)
+    away = np.abs(scene.time * omega - turn)
+    flight = -1 - (root**2 - away**2) / 2
+    height = np.where(away < root, flight, wave * np.cos(turn - away)) * rest
+    found = reference(scene).displacement[:, 0]
+    assert np.abs(found - height).max() < GOOD * np.abs(height).max()
 
 
 # The second term begins at an overlap of 1 m, so that the law is no power but acts like one.
