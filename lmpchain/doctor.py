@@ -116,7 +116,7 @@ class Diagnosis:
 
 
 Check = Callable[[], Iterator[Finding]]
-_CHECKS: list[tuple[str, str, Check]] = []
+CHECKS: list[tuple[str, str, Check]] = []
 
 
 def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagnosis:
@@ -133,7 +133,7 @@ def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagno
         All findings, each with its cure.
     """
     findings = []
-    for check in _CHECKS:
+    for check in CHECKS:
         for finding in _findings(*check):
             findings.append(finding)
             tell(finding)
@@ -219,7 +219,7 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
 
 def _register(name: str, cure: str) -> Callable[[Check], None]:
     """Register a check under a name, with the remedy of its faults."""
-    return lambda run: _CHECKS.append((name, cure, run))
+    return lambda run: CHECKS.append((name, cure, run))
 
 
 @_register("lmpchain", "pip install lmpchain")

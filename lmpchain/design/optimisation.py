@@ -160,7 +160,7 @@ class Optimum(Tabular):
         yield NamedColumn("value", "", np.concatenate(self.history))
 
 
-class _Box:
+class Box:
     """Bounded parameters, scaled to numbers from 0 to 1."""
 
     def __init__(self, scene: Scene, names: Sequence[str], bounds: Mapping[str, tuple[Any, Any]]):
@@ -242,12 +242,12 @@ class _Limit(NamedTuple):
         """Return the constraint over its scale."""
         return float(self.function(values)[0]) / self.scale
 
-    def slopes(self, values: Values, box: _Box) -> Array:
+    def slopes(self, values: Values, box: Box) -> Array:
         """Return the gradient over the scaled numbers of the box."""
         return box.slopes(self.function(values)[1]) / self.scale
 
 
-def _limit(constraint: Constraint, box: _Box) -> _Limit:
+def _limit(constraint: Constraint, box: Box) -> _Limit:
     """Return a constraint with its scale; raise `InputError` if its derivatives are invalid."""
     answer: Any = constraint(box.values(box.start))
     if not _is_pair(answer) or np.ndim(answer[0]) or not isinstance(answer[1], Mapping):
@@ -366,7 +366,7 @@ def optimise(
         raise InputError.at(
             "constraints", f"must be a list of functions (got {shown(constraints)})"
         )
-    box = _Box(scene, names, bounds)
+    box = Box(scene, names, bounds)
     limited = [_limit(constraint, box) for constraint in constraints]
     drawn = qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))
     begins = np.vstack([box.start, drawn])[:starts]
@@ -429,7 +429,7 @@ class _Descent(NamedTuple):
 
     Attributes
     ----------
-    box : _Box
+    box : Box
     objective : Objective
     limits : list of _Limit
     sign : float
@@ -440,7 +440,7 @@ class _Descent(NamedTuple):
         Phase of the fastest motion in a step, rad.
     """
 
-    box: _Box
+    box: Box
     objective: Objective
     limits: list[_Limit]
     sign: float

@@ -1,6 +1,5 @@
 """Output of commands, number by number, with defaults, exit codes and refusals."""
 
-import argparse
 import io
 import json
 import os
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.command_output import SCENE, keys, names
+from helpers.command_output import SCENE, keys, names, parsed
 from helpers.faults import faults
 
 from lmpchain import (
@@ -29,7 +28,7 @@ from lmpchain import (
     orbits,
     simulate,
 )
-from lmpchain.cli import command_line, common, compare, new, orbit
+from lmpchain.cli import common, new
 from lmpchain.cli.command_line import main
 from lmpchain.cli.read import read_axis
 from lmpchain.cli.verbs import VERBS
@@ -64,8 +63,9 @@ def start_under_mpirun(monkeypatch: pytest.MonkeyPatch, rank: int) -> list[Any]:
     loops = "lmpchain.engines.lammps.communicators"
     monkeypatch.setenv("PMI_SIZE", "2")
     monkeypatch.setenv("PMI_RANK", str(rank))
-    monkeypatch.setattr(mpi, "_idle", [])
     monkeypatch.setattr(mpi, "is_launched", lambda: True)
+    monkeypatch.setattr(mpi, "count_idle", lambda: 0)
+    monkeypatch.setattr(mpi, "leave", lambda: monkeypatch.setattr(mpi, "count_idle", lambda: 1))
     monkeypatch.setattr(mpi, "join", lambda: SimpleNamespace(rank=rank))
     monkeypatch.setattr(f"{loops}.worker_loop", lambda world: calls.append(("work", world.rank)))
     monkeypatch.setattr(
@@ -335,29 +335,18 @@ def test_under_mpirun_only_rank_0_works_without_lammps(monkeypatch: Any, capsys:
 # --- options
 
 
-def verbs() -> dict[str, argparse.ArgumentParser]:
-    (choices,) = [
-        action.choices
-        for action in command_line._parser()._actions
-        if isinstance(action.choices, dict)
-    ]
-    return choices
+NAMED_DEFAULTS = ("--engine", "--diameter", "--integrator", "--pair-style", "--example", "--draw")
 
 
-NAMED_DEFAULTS = ("engine", "diameter", "integrator", "pair_style", "example", "draw")
-
-
-@pytest.mark.parametrize("verb", list(verbs()))
+@pytest.mark.parametrize("verb", VERBS)
 def test_help_states_the_defaults(verb: str):
     """A number that the help calls a default is the default of the option."""
-    for action in verbs()[verb]._actions:
-        if action.dest == "help":
-            continue
-        told = re.search(r"\(default: ([\d.e-]+)\)", action.help or "")
-        if told:
-            assert float(told[1]) == action.default, action.dest
-        elif action.option_strings and action.dest not in NAMED_DEFAULTS:
-            assert action.default in (None, False), action.dest
+    for flags, options in [*VERBS[verb].arguments, *VERBS[verb].choice]:
+        default = options.get("default")
+        if told := re.search(r"\(default: ([\d.e-]+)\)", options.get("help", "")):
+            assert float(told[1]) == default, flags
+        elif flags[-1].startswith("-") and flags[-1] not in NAMED_DEFAULTS:
+            assert default is None, flags
 
 
 WORDS = {
@@ -385,23 +374,21 @@ WORDS = {
 
 
 def test_required_arguments(capsys: pytest.CaptureFixture[str]):
-    parser = command_line._parser()
-    assert WORDS.keys() == verbs().keys()
+    assert WORDS.keys() == VERBS.keys()
     for verb, words in WORDS.items():
-        arguments = parser.parse_args([verb, *words])
-        assert arguments.command.__name__ == verb
+        assert VERBS[verb].command.__name__ == verb
+        parsed(verb, *words)
         pairs = [words[:1], *(words[n : n + 2] for n in range(1, len(words), 2))]
         for left_out in [pair for pair in pairs if pair]:
             fewer = [word for word in words if word not in left_out]
-            with pytest.raises(SystemExit):
-                parser.parse_args([verb, *fewer])
-    capsys.readouterr()
-    run = parser.parse_args(["run", "s.toml", "--step", "1e-8", "--threads", "2", "--ranks", "3"])
+            assert main([verb, *fewer]) == 2
+            assert capsys.readouterr().err.endswith(f"; see lmpchain {verb} --help\n")
+    run = parsed("run", "s.toml", "--step", "1e-8", "--threads", "2", "--ranks", "3")
     assert (run.step, run.threads, run.ranks, run.engine) == (1e-8, 2, 3, "auto")
-    deck = parser.parse_args(["deck", *WORDS["deck"]])
+    deck = parsed("deck", *WORDS["deck"])
     assert (deck.diameter, deck.integrator, deck.pair_style) == ("physical", "verlet", "granular")
-    with pytest.raises(SystemExit):
-        parser.parse_args(["sweep", *WORDS["sweep"], "--workers", "2", "--scheduler", "x"])
+    assert main(["sweep", *WORDS["sweep"], "--workers", "2", "--scheduler", "x"]) == 2
+    assert "not allowed with" in capsys.readouterr().err
 
 
 DURATIONS = {
@@ -417,8 +404,7 @@ DURATIONS = {
 
 @pytest.mark.parametrize("text", DURATIONS)
 def test_times_as_hours_minutes_and_seconds(text: str):
-    arguments = command_line._parser().parse_args(["resume", "run", "--max-wall", text])
-    assert arguments.max_wall == DURATIONS[text]
+    assert parsed("resume", "run", "--max-wall", text).max_wall == DURATIONS[text]
 
 
 @pytest.mark.parametrize(
@@ -433,29 +419,28 @@ def test_invalid_times(text: str, capsys: pytest.CaptureFixture[str]):
 # --- compare
 
 
-def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
+def test_short_runs_are_timed_again(
+    scene: Path, answer: Trajectory, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+):
     """A short run has the time of its fastest repetition; a long run is not repeated."""
-    times = iter([3.0, 0.75, 1.5, 0.5, 9.0, 9.0, 9.0])
-    cost = answer.cost._replace(integration_s=0.4, estimate_s=0.5, setup_s=0.6)
-
-    def simulated(
-        scene: Scene, engine: str, tolerance: float, progress: bool = False
-    ) -> Trajectory:
-        assert (engine, tolerance) == ("native", 1e-5)
-        return replace(answer, cost=cost._replace(integration_s=next(times)))
-
-    monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
-    trajectories, failures, _ = compare._run_engines(answer.scene, {"native": 1e-5}, 30.0)
-    assert trajectories[0].cost.integration_s == 3.0
-    assert next(times) == 0.75
+    cost = answer.cost._replace(estimate_s=0.5, setup_s=0.6)
+    words = ["compare", str(scene), "--engines", "native", "--tolerance", "1e-5", "--json", "-"]
     monkeypatch.setattr("lmpchain.benchmark.bench.repeat", lambda run: [run(), run()])
-    times = iter([0.7, 0.75, 0.5])
-    trajectories, failures, _ = compare._run_engines(answer.scene, {"native": 1e-5}, 30.0)
-    assert trajectories[0].cost.integration_s == 0.5
-    assert failures == []
-    times = iter([0.95])  # With the rest, this is above 2 s.
-    trajectories, *_ = compare._run_engines(answer.scene, {"native": 1e-5}, 30.0)
-    assert trajectories[0].cost.integration_s == 0.95
+    # The run with 0.95 s takes more than 2 s with its estimate and its set-up.
+    for given, listed, left in (
+        ([0.7, 0.75, 0.5, 9.0], 0.5, [9.0]),
+        ([0.95, 0.75], 0.95, [0.75]),
+    ):
+        times = iter(given)
+
+        def simulated(_: Scene, *asked: Any, times: Any = times, **__: Any) -> Trajectory:
+            assert asked == ("native", 1e-5)
+            return replace(answer, cost=cost._replace(integration_s=next(times)))
+
+        monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
+        assert main(words) == 0
+        (row,) = json.loads(capsys.readouterr().out)["rows"]
+        assert (row["integration_s"], list(times)) == (listed, left)
 
 
 @pytest.mark.parametrize("verb", ["workprec", "stability"])
@@ -540,7 +525,7 @@ def test_documentation_is_opened_where_it_was_built(tmp_path: Path, monkeypatch:
     assert opened == [page.as_uri()]
 
 
-def test_an_orbit_is_described_in_numbers():
+def test_an_orbit_is_described_in_numbers(scene: Path, monkeypatch: Any, capsys: Any):
     first = SimpleNamespace(period=4e-6)
     last = SimpleNamespace(period=5e-6, energy=1.25e-14, amplitude=2.5e-9, drive=None, stable=False)
     last.residual, last.error, last.unstable = 3e-13, 4.56e-10, np.array([1.5 + 2j, 1.0])
@@ -561,18 +546,31 @@ def test_an_orbit_is_described_in_numbers():
         "period doubling: at 1.5e-14 J, 250000 Hz",
         "the family does not reach the requested energy: it turns back",
     ]
-    assert orbit._describe(family) == told
+    monkeypatch.setattr("lmpchain.orbits.modes.mode_family", lambda *_, **__: family)
+    words = ["orbit", str(scene), "--mode", "1", "--energy", "1e-14"]
+    assert main(words) == 1
+    assert capsys.readouterr().out.splitlines() == told
     last.stable, last.drive, family.reached = True, "a drive", True
     told[0] = "period: 5e-06 s (200000 Hz; at the start: 250000 Hz)"
     told[4:] = ["Floquet multipliers: stable", "period doubling: at 1.5e-14 of energy, 250000 Hz"]
-    assert orbit._describe(family) == told
+    assert main(words) == 0
+    assert capsys.readouterr().out.splitlines() == told
 
 
-def test_the_picture_of_an_orbit_shows_the_requested_size_and_the_last_orbit():
+def test_the_picture_of_an_orbit_shows_the_requested_size_and_the_last_orbit(
+    scene: Path, monkeypatch: Any
+):
     chain = Chain(grains=3, diameter=1e-3)
     family = orbits.follow(orbits.normal_mode(chain, 1, 1e-14), "energy", 2e-14)
+    monkeypatch.setattr("lmpchain.orbits.modes.mode_family", lambda *_, **__: family)
+    drawn: list[Any] = []
+    monkeypatch.setattr(
+        "lmpchain.util.plotting.save", lambda picture, *_, **__: drawn.append(picture)
+    )
+    words = ["orbit", str(scene), "--mode", "1", "--energy", "2e-14", "-o", f"{scene}.png"]
     for of, label in {"": "energy above rest", "displacement:2": "displacement of grain 2"}.items():
-        panels = orbit._picture(family, of).axes
+        assert main([*words, "--of", of]) == 0
+        panels = drawn.pop().axes
         assert len(panels) == 2
         assert panels[0].get_ylabel().startswith(label)
         assert len(panels[1].lines) == 5
@@ -632,7 +630,7 @@ def test_the_example_of_each_command_is_valid(capsys: pytest.CaptureFixture[str]
     for name, verb in VERBS.items():
         words = shlex.split(verb.example)
         assert words[0] == name
-        assert command_line._parser().parse_args(words).command is verb.command
+        parsed(*words)
         main([name, "--help"])
         shown = " ".join(capsys.readouterr().out.split())
         assert f"Example: lmpchain {verb.example}" in shown

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.command_output import SCENE, keys, names
+from helpers.command_output import SCENE, keys, names, parsed
 
 from lmpchain import Scene, Trajectory
 from lmpchain.cli import common, main
@@ -177,17 +177,12 @@ def test_an_option_takes_the_same_everywhere():
     ],
 )
 def test_an_earlier_spelling_means_the_same(verb: str, earlier: str, today: str, capsys):
-    from lmpchain.cli.command_line import _parser
-
     needed = {"sensitivity": ["--answer=energy:1"], "averages": ["--of", "a"]}
     rest = ["a", *needed.get(verb, []), *(["-o", "b"] if verb == "export" else [])]
-    parsed = [
-        vars(_parser().parse_args([verb, *rest, *word.split("=")])) for word in (earlier, today)
-    ]
-    assert parsed[0] == parsed[1]
-    assert parsed[0] == vars(_parser().parse_args([verb, *rest, earlier]))
-    with pytest.raises(SystemExit):
-        _parser().parse_args([verb, "--help"])
+    arguments = parsed(verb, *rest, *today.split("="))
+    assert parsed(verb, *rest, *earlier.split("=")) == arguments
+    assert parsed(verb, *rest, earlier) == arguments
+    assert main([verb, "--help"]) == 0
     assert f"{earlier.partition('=')[0]} " not in capsys.readouterr().out
 
 

@@ -10,7 +10,6 @@ from scipy import stats
 
 from lmpchain import Chain, Impulse, InputError, Scene, simulate, sweep
 from lmpchain.disorder import MeasuredEnsemble, measured_over, realisation, statistics, within
-from lmpchain.disorder.measured import _invert_hall
 from lmpchain.measure import energy, flight, spectrum
 
 CHAIN = Chain(grains=24, diameter=5e-3, material="steel", gravity=0.0, top_load=10.0)
@@ -39,11 +38,17 @@ def test_intervals_cover_the_mean_of_skewed_laws(law: Any, chains: int) -> None:
 
 
 def test_the_transformation_is_that_of_hall() -> None:
-    skewness = np.array([-0.7, -1e-12, 0.0, 1e-9, 0.3])
-    for t in (-2.0, 0.1, 2.0):
-        root = _invert_hall(t, skewness)
-        forth = root + skewness * root**2 / 3 + skewness**2 * root**3 / 27 + skewness / 6
-        np.testing.assert_allclose(forth, t, rtol=1e-13)
+    """The ends solve ``t + a t^2 / 3 + a^2 t^3 / 27 + a / 6 = t_97.5``, for each skewness a."""
+    for chains in (4, 10, 100):
+        even = np.linspace(-1, 1, chains)
+        # The skewness is large, near 0 in the second and third curve, and 0 in the last.
+        curves = [np.sinh(8 * even - 4), even + 1e-12 * even**2, even - 1e-9 * even**2, even]
+        found = MeasuredEnsemble(np.stack([-curves[0], *curves], axis=1), None, 0.0, 0.0)
+        a = stats.skew(found.values) / np.sqrt(chains)
+        ends = (found.mean - np.array(found.interval)) / found.error
+        forth = ends + a * ends**2 / 3 + a**2 * ends**3 / 27 + a / 6
+        quantile = stats.t.ppf(0.975, chains - 1)
+        np.testing.assert_allclose(forth, [[quantile] * 5, [-quantile] * 5], rtol=1e-12)
     alike = MeasuredEnsemble(np.ones((5, 2)), None, 0.0, 0.0)
     np.testing.assert_array_equal(alike.interval, np.ones((2, 2)))
 

@@ -33,9 +33,9 @@ NAMES = {
 
 def keep(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     """Keep only these checks, to save the time of the others."""
-    kept = [check for check in doctor._CHECKS if check[0] in names]
+    kept = [check for check in doctor.CHECKS if check[0] in names]
     assert len(kept) == len(names)
-    monkeypatch.setattr(doctor, "_CHECKS", kept)
+    monkeypatch.setattr(doctor, "CHECKS", kept)
 
 
 def only(state: str) -> Finding:
@@ -331,7 +331,7 @@ def test_a_check_may_raise_any_error(monkeypatch: pytest.MonkeyPatch):
         raise ZeroDivisionError("a\n  long story" + " and so on" * 100)
 
     monkeypatch.setattr(
-        doctor, "_CHECKS", [("odd", "do this", breaks), ("next", "", lambda: iter([]))]
+        doctor, "CHECKS", [("odd", "do this", breaks), ("next", "", lambda: iter([]))]
     )
     told: list[Finding] = []
     findings = diagnose(told.append).findings

@@ -22,10 +22,10 @@ from lmpchain.util import mpi
 @pytest.fixture
 def check(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a function that runs one check and returns its findings as (name, state, text)."""
-    every = list(doctor._CHECKS)
+    every = list(doctor.CHECKS)
 
     def run(name: str) -> list[tuple[str, str, str]]:
-        monkeypatch.setattr(doctor, "_CHECKS", [each for each in every if each[0] == name])
+        monkeypatch.setattr(doctor, "CHECKS", [each for each in every if each[0] == name])
         return [(each.name, each.state, each.found) for each in diagnose().findings]
 
     return run
@@ -188,8 +188,11 @@ def raising(error: Exception) -> Iterator[Finding]:
         (ImportError("none"), "ImportError: none", "do this"),
     ],
 )
-def test_a_fault_has_a_text_and_a_remedy(error: Exception, text: str, cure: str):
-    (finding,) = doctor._findings("a", "do this", lambda: raising(error))
+def test_a_fault_has_a_text_and_a_remedy(
+    error: Exception, text: str, cure: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(doctor, "CHECKS", [("a", "do this", lambda: raising(error))])
+    (finding,) = diagnose().findings
     assert finding == Finding("a", "fault", text, cure)
 
 

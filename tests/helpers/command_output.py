@@ -4,6 +4,11 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from lmpchain.cli import main
+from lmpchain.cli.verbs import VERBS
+
 SCENE = """
 [chain]
 grains = 20
@@ -30,3 +35,14 @@ def keys(said: Any) -> list[str]:
     assert found
     assert all(found), said.err
     return [match[1] for match in found if match]
+
+
+def parsed(verb: str, *words: str) -> Any:
+    """Return the arguments that the function of a command receives, without calling it."""
+    received: list[Any] = []
+    recorder = VERBS[verb]._replace(command=lambda given: received.append(given) or 0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(VERBS, verb, recorder)
+        assert main([verb, *words]) == 0
+    del received[0].command
+    return received[0]
