@@ -116,7 +116,7 @@ class Diagnosis:
 
 
 Check = Callable[[], Iterator[Finding]]
-CHECKS: list[tuple[str, str, Check]] = []
+CHECKS: list[tuple[str, str, Check]] = []  # Name, remedy and function of each check.
 
 
 def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagnosis:

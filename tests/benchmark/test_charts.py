@@ -439,13 +439,8 @@ def test_a_wide_wave_is_shown_around_its_fastest_grain():
         return low + 0.5, high - 0.5
 
     velocity = np.ones(200)
-    for fastest, shown in (
-        (99, (70, 129)),
-        (3, (1, 60)),
-        (198, (141, 200)),
-        (29, (1, 60)),
-        (31, (2, 61)),
-    ):
+    cases = {99: (70, 129), 3: (1, 60), 198: (141, 200), 29: (1, 60), 31: (2, 61)}
+    for fastest, shown in cases.items():
         velocity[:] = 1.0
         velocity[fastest] = -2.0
         assert drawn(velocity) == shown
@@ -454,9 +449,7 @@ def test_a_wide_wave_is_shown_around_its_fastest_grain():
     assert drawn(np.zeros(200)) == (1, 60)
     assert drawn(np.zeros(20)) == (1, 20)
     still = np.zeros(200)
-    still[100] = 1.0
-    still[90] = 1.1e-3
-    still[80] = 0.9e-3
+    still[[100, 90, 80]] = 1.0, 1.1e-3, 0.9e-3
     assert drawn(still) == (87, 105)
 
 
