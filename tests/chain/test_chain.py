@@ -27,7 +27,7 @@ from lmpchain import (
 )
 from lmpchain.chain import bounds
 from lmpchain.chain.contact_law import Contacts
-from lmpchain.chain.materials import MATERIALS, SYNONYMS
+from lmpchain.chain.materials import MATERIALS, SYNONYMS, kinds
 
 EVERY = CHAINS | {f"{name}, walls": chain for name, chain in WALLED.items()}
 each_chain = pytest.mark.parametrize("chain", EVERY.values(), ids=EVERY)
@@ -476,4 +476,5 @@ def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impu
     monkeypatch.setattr(bounds, "LIMITS", limits)
     long = column(1000, impurity=odd, top="wall", bottom="wall", top_load=1e-3)
     relative = (long.contacts.overlap / long.contact_lengths)[-2]
-    assert 0.95 < bounds.least_compression(long._kinds, 1000, 1e-3, 9.81, long.law) / relative <= 1
+    few = kinds(long.material, 1e-3, long.impurity)
+    assert 0.95 < bounds.least_compression(few, 1000, 1e-3, 9.81, long.law) / relative <= 1

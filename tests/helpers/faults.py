@@ -1,5 +1,6 @@
-"""The faults with which a call is rejected."""
+"""The faults with which a call is rejected, and its remarks."""
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -18,3 +19,11 @@ def faults(call: Callable[..., Any], *values: Any, **options: Any) -> list[tuple
 def fault_keys(call: Callable[..., Any], *values: Any, **options: Any) -> list[str]:
     """Return the keys of the faults with which a call is rejected."""
     return [key for key, _ in faults(call, *values, **options)]
+
+
+def remarks(call: Callable[..., Any], *values: Any, **options: Any) -> list[str]:
+    """Return the warnings of a call."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        call(*values, **options)
+    return [str(warning.message) for warning in caught]

@@ -1,23 +1,15 @@
 """Valid but implausible input causes one warning line: wrong units, or excessive strikes."""
 
-import warnings
-
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
+from helpers.faults import remarks
 
 from lmpchain import GLASS, Impurity, Profile, plan, simulate
 from lmpchain.cli import main
 
 CHAIN = column(5)
 SPRINGS = column(3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 3)
-
-
-def said(make) -> list[str]:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        make()
-    return [str(warning.message) for warning in caught]
 
 
 def test_the_sound_speed_is_that_of_the_grain_material():
@@ -30,13 +22,13 @@ def test_the_sound_speed_is_that_of_the_grain_material():
         (soft, [2.0] * 4, 1),
         (soft, [0.5] * 4, 0),
     ):
-        texts = said(lambda c=chain, v=speeds: scene_of(c, Profile(velocity=v), 1e-6))
+        texts = remarks(lambda c=chain, v=speeds: scene_of(c, Profile(velocity=v), 1e-6))
         assert sum("grain 3 moves at 2 m/s, faster than sound" in text for text in texts) == grains
 
 
 def test_usual_values_cause_no_warning():
-    assert not said(lambda: struck(column(120), 8.57e-3, 1.0))
-    assert not said(lambda: struck(column(120, exponent=1.0, top_load=1e-2), 1e-3, 1e-5))
+    assert not remarks(lambda: struck(column(120), 8.57e-3, 1.0))
+    assert not remarks(lambda: struck(column(120, exponent=1.0, top_load=1e-2), 1e-3, 1e-5))
 
 
 def test_the_warning_is_given_once():
@@ -45,7 +37,7 @@ def test_the_warning_is_given_once():
         plan(scene)
         simulate(scene, "native")
 
-    (text,) = said(work)
+    (text,) = remarks(work)
     assert text.startswith("velocity: a contact is compressed by 0.012 of the diameter")
     assert "\n" not in text
 
@@ -64,6 +56,6 @@ def test_the_command_line_warns_once(tmp_path, capsys):
 def test_contacts_that_are_rigid_dashpots_cause_a_warning(turn: float, number: int):
     frequency = struck(CHAIN, 1e-3, 1e-5).fastest_motion
     damped = CHAIN.replace(damping={"viscoelastic": turn / frequency})
-    texts = said(lambda: struck(damped, 1e-3, 1e-5))
+    texts = remarks(lambda: struck(damped, 1e-3, 1e-5))
     rigid = f"A omega is {turn:.2g}, so that contacts act as rigid dashpots"
     assert sum(rigid in text for text in texts) == number

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
-from helpers.faults import fault_keys, faults
+from helpers.faults import fault_keys, faults, remarks
 from helpers.independent_theory import dense_modes
 from matplotlib.figure import Figure
 
@@ -34,7 +34,6 @@ from lmpchain.disorder import ensemble, spreading
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.scene.excitation import EXCITATIONS
 from lmpchain.stability import stability
-from lmpchain.util.validation import make_unchecked
 
 COLUMN = column(9)
 LOADED = column(9, gravity=0.0, top_load=1e-3, top="wall", bottom="wall")
@@ -146,8 +145,8 @@ def test_samples_and_durations_have_limits() -> None:
 
 def test_a_long_duration_causes_a_remark() -> None:
     keys = {"chain": COLUMN, "excitation": Impulse(velocity=1e-6), "samples": 11}
-    assert not list(make_unchecked(Scene, duration=1.0, **keys)._remarks())
-    (text,) = make_unchecked(Scene, duration=100.0, **keys)._remarks()
+    assert not remarks(Scene, duration=1.0, **keys)
+    (text,) = remarks(Scene, duration=100.0, **keys)
     long = "duration: 100 s is long for a wave in grains of 1 mm"
     assert text == f"{long}; times are in seconds (100 us is 1e-4)"
 
@@ -155,8 +154,8 @@ def test_a_long_duration_causes_a_remark() -> None:
 def test_long_durations_of_boulders_cause_no_remark() -> None:
     boulders = Chain(grains=11, diameter=0.2, gravity=0, bottom="wall")
     keys = {"chain": boulders, "excitation": Impulse(velocity=1e-6), "samples": 11}
-    assert not list(make_unchecked(Scene, duration=3600.0, **keys)._remarks())
-    (text,) = make_unchecked(Scene, duration=3601.0, **keys)._remarks()
+    assert not remarks(Scene, duration=3600.0, **keys)
+    (text,) = remarks(Scene, duration=3601.0, **keys)
     assert text.startswith("duration: 3601 s is long for a wave in grains of 200 mm")
 
 

@@ -6,6 +6,7 @@ Trends, predictability, overlaps, warnings, and the boundaries that are shown.
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import mpmath as mp
@@ -18,6 +19,7 @@ from scipy import stats
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Law, Scene, simulate
 from lmpchain.engines import Lammps, Native
+from lmpchain.engines.cost_model import TooLong, budget, in_words
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.integrators.methods import METHODS
 from lmpchain.stability import find
@@ -43,6 +45,7 @@ from lmpchain.stability.step_limit import (
 STEEL = Chain(grains=12, material="steel", diameter=3e-3)
 STRUCK = Scene(chain=STEEL, excitation=Impulse(velocity=0.05), duration=1e-3, samples=101)
 WEAK = Scene(chain=STEEL, excitation=Impulse(velocity=1e-6), duration=1e-3, samples=101)
+DRIVEN = scene_of(STEEL, Drive(amplitude=1e-9, frequency=1e4), 2e-4, 11)
 
 
 # --- trends of the energy
@@ -520,7 +523,9 @@ def test_the_expected_time_is_that_of_runs_and_followed_periods() -> None:
             searches = [60 * scene.duration / limit(scene, name) * work * cost for cost in costs]
             follow = 40_000 * work * costs[0]
             expected += sum(time for time in (*searches, follow) if time < find.LONGEST_S)
-        assert find._expected_s(scene) == pytest.approx(expected, rel=1e-12)
+        said = rf"the search for the limits would take about {re.escape(in_words(expected))}$"
+        with budget(0.9999 * expected), pytest.raises(TooLong, match=said):
+            find.stability(scene)
 
 
 def test_missing_predictions_state_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -536,8 +541,7 @@ def test_missing_predictions_state_the_reason(monkeypatch: pytest.MonkeyPatch) -
     ):
         with pytest.raises(InputError, match=message):
             find.stability(scene)
-    driven = scene_of(STEEL, Drive(amplitude=1e-9, frequency=1e4), 2e-4, 11)
-    result = find.stability(driven)
+    result = find.stability(DRIVEN)
     assert (
         "energy, verlet: the energy is not conserved, because the excitation does work"
         in result.left_out
@@ -550,24 +554,13 @@ def test_missing_predictions_state_the_reason(monkeypatch: pytest.MonkeyPatch) -
 def test_a_scene_is_beyond_its_predictability_horizon_if_its_runs_separate(
     level: float, beyond: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    times = np.linspace(0, WEAK.duration, 11)
-    apart = np.where(times < 0.45e-3, 1e-12, level)
+    times = np.linspace(0, DRIVEN.duration, 11)
+    apart = np.where(times < 0.45 * DRIVEN.duration, 1e-12, level)
     monkeypatch.setattr(find, "growth", lambda scene: (times, apart))
-    boundary = next(item for item in find._predictability(WEAK) if isinstance(item, Boundary))
-    assert boundary.beyond == beyond
-    assert boundary.here == WEAK.duration
-    if beyond:
-        assert boundary.measured == pytest.approx(0.5e-3, rel=1e-12)
-    else:
-        assert boundary.measured == math.inf
-
-
-@pytest.mark.parametrize(("duration", "measured"), [(1e-3, 2e-6), (1e3, math.nan)])
-def test_the_longest_step_is_measured_if_this_takes_seconds(
-    duration: float, measured: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr(find, "blow_up", lambda *_: 2e-6)
-    scene = WEAK.replace(duration=duration)
-    (boundary,) = find._step(scene, "native", "verlet")
-    assert boundary.measured == pytest.approx(measured, nan_ok=True)
-    assert boundary.predicted == pytest.approx(limit(scene, "verlet"), rel=1e-12)
+    rows = {(row.what, row.method): row for row in find.stability(DRIVEN).boundaries}
+    boundary = rows["predictable to 1e-6 until", "any"]
+    assert boundary.beyond == beyond
+    assert boundary.here == DRIVEN.duration
+    assert boundary.measured == pytest.approx(times[5] if beyond else math.inf, rel=1e-12)
+    assert rows["longest step", "native verlet"].measured == 2e-6
