@@ -11,7 +11,6 @@ from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, InputError, Riemann, Trajectory
 from lmpchain.measure import planar, shock
-from lmpchain.theory.shock import Medium
 from lmpchain.theory.soliton import solve
 
 
@@ -33,6 +32,35 @@ def waves_of(exponent: float, strength: float) -> planar.PlanarOrbits:
     return planar.orbits(shock_of(exponent, strength))
 
 
+def by_quadrature(
+    law: tuple[float, float], inertia: float, ends: tuple[float, float], of_forces: bool = False
+) -> tuple[float, float]:
+    """Return the spacing and the mean overlap of a closed orbit from its first integral.
+
+    The law is F = K r^delta, as (K, delta); the inertia is m c^2.
+    """
+    constant, delta = law
+    (low, high) = constant * np.array(ends) ** delta if of_forces else ends
+
+    def potential(y: np.ndarray, level: float = 0.0) -> np.ndarray:
+        if of_forces:
+            work = (y / constant) ** (1 / delta) * y / (1 + 1 / delta)
+            return 12 * (inertia * work - y**2 / 2 - level * y)
+        work = constant * y ** (delta + 1) / (delta + 1)
+        return 12 * (y**2 / 2 - (work + level * y) / inertia)
+
+    # The constant A makes the derivative vanish at both ends.
+    rise = np.subtract(*potential(np.array([high, low]))) / (12 * (high - low))
+    level = rise if of_forces else rise * inertia
+    # The angle removes the singularities at the ends, so that midpoints converge exponentially.
+    angle = (np.arange(1000) + 0.5) * np.pi / 1000
+    y = (high + low) / 2 + (high - low) / 2 * np.cos(angle)
+    square = 2 * (potential(y, level) - potential(np.array(low), level))
+    weight = (high - low) / 2 * np.sin(angle) / np.sqrt(square) * np.pi / 1000
+    overlap = (y / constant) ** (1 / delta) if of_forces else y
+    return 2 * weight.sum(), weight @ overlap / weight.sum()
+
+
 @pytest.mark.parametrize(
     ("exponent", "strength"),
     thinned([(1.5, 0.1), (1.3, 0.6), (3.0, 0.3), (1.5, 0.6), (2.0, 0.3)], 4),
@@ -44,6 +72,14 @@ def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength
     assert (off <= waves.spacing_error + waves.orbit_spacing_error).mean() >= 0.9
     off = np.abs(waves.orbit_mean - waves.mean)
     assert (off <= waves.mean_error + waves.orbit_mean_error).mean() >= 0.9
+    chain = shock_of(exponent, strength).scene.chain
+    for k, ends in enumerate(zip(waves.trough, waves.crest, strict=True)):
+        law = chain.contact_constants[0], exponent
+        inertia = chain.masses[0] * waves.phase_speed[k] ** 2
+        first, second = (by_quadrature(law, inertia, ends, forces) for forces in (False, True))
+        assert (waves.orbit_spacing[k], waves.orbit_mean[k]) == pytest.approx(first, rel=1e-5)
+        errors = waves.orbit_spacing_error[k], waves.orbit_mean_error[k]
+        assert errors == pytest.approx(np.abs(np.subtract(first, second)), rel=1e-3)
     # The errors are small enough for a meaningful comparison.
     assert np.median(waves.orbit_spacing_error / waves.orbit_spacing) < 0.12
     assert np.median(waves.spacing_error / waves.spacing) < 0.08
@@ -125,8 +161,7 @@ def test_waves_are_measured_from_crest_to_crest() -> None:
 def test_the_homoclinic_orbit_approaches_the_solitary_wave(
     exponent: float, speed: float, share: float
 ) -> None:
-    """The outermost orbit ends at the overlap ahead; exact waves have nearly its height."""
-    gas = Medium(exponent=exponent, constant=1.0, mass=exponent)
+    """The outermost orbit ends at the overlap ahead; exact waves have nearly its size."""
     inertia = exponent * speed**2
 
     def energy(top: float) -> float:
@@ -138,31 +173,25 @@ def test_the_homoclinic_orbit_approaches_the_solitary_wave(
     crest = brentq(energy, 1 + 1e-3, 4.0)
     exact = solve(exponent, speed=speed)
     assert crest - 1 == pytest.approx(float(exact.overlap(0.0)), rel=2 * share)
-    orbit = planar._orbit(gas, speed, 1 + 1e-4 * (crest - 1), crest, planar._of_overlaps)
-    assert orbit is not None
-    wave = 1 + (crest - 1) * exact.overlap(orbit.place) / exact.overlap(0.0)
-    assert np.abs(orbit.overlap - wave).max() < 2 * share * (crest - 1)
+    low = 1 + 1e-4 * (crest - 1)
+    spacing, mean = by_quadrature((1.0, exponent), inertia, (low, crest))
+    area = np.trapezoid(exact.overlap(np.linspace(-60, 60, 6001)), dx=0.02)
+    assert spacing * (mean - low) == pytest.approx(area, rel=2 * share)
 
 
 def test_weak_orbits_are_harmonic() -> None:
     """Small orbits about r have 4 sin^2(k / 2) = k^2 (1 - k^2 / 12 ...) of the lattice."""
-    # The speed of sound is 1 at the overlap 4.
-    gas = Medium(exponent=1.5, constant=2.0, mass=6.0)
-    ends = 4 - 4e-5, 4 + 4e-5
+    # The force 2 r^1.5 and the mass 6 give a speed of sound of 1 at the overlap 4.
     for speed in (0.99, 0.95):
-        orbit = planar._orbit(gas, speed, *ends, planar._of_overlaps)
-        assert orbit is not None
-        assert orbit.mean == pytest.approx(4.0, rel=1e-9)
-        assert orbit.spacing == pytest.approx(2 * np.pi / np.sqrt(12 * (speed**-2 - 1)), rel=1e-6)
-        other = planar._orbit(gas, speed, *ends, planar._of_forces)
-        assert other is not None
-        assert other.spacing == pytest.approx(2 * np.pi / np.sqrt(12 * (1 - speed**2)), rel=1e-6)
-        for each in (orbit, other):
-            change = np.gradient(each.overlap, each.place, edge_order=2)
-            assert change == pytest.approx(each.slope, abs=1e-3 * np.abs(each.slope).max())
+        near, far = (
+            by_quadrature((2.0, 1.5), 6 * speed**2, (4 - 4e-3, 4 + 4e-3), forces)
+            for forces in (False, True)
+        )
+        assert near == pytest.approx((2 * np.pi / np.sqrt(12 * (speed**-2 - 1)), 4.0), rel=1e-3)
+        assert far == pytest.approx((2 * np.pi / np.sqrt(12 * (1 - speed**2)), 4.0), rel=1e-3)
         # The wavenumber k of the lattice has the phase speed sin(k / 2) / (k / 2).
         k = brentq(lambda k, speed=speed: np.sin(k / 2) - speed * k / 2, 1e-3, np.pi)
-        assert orbit.spacing < 2 * np.pi / k < other.spacing
+        assert near[0] < 2 * np.pi / k < far[0]
 
 
 def test_waves_of_a_step_are_measured_at_seven_tenths_of_their_way() -> None:

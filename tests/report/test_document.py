@@ -17,16 +17,20 @@ from helpers.seals import seal_anew
 from lmpchain import Chain, Drive, Impulse, Profile, Scene, Trajectory, simulate
 from lmpchain.measure.front import Front
 from lmpchain.report import document, page, write
-from lmpchain.report import live as live_view
-from lmpchain.report.document import _view, title
-from lmpchain.report.live import crop, extent, figure_numbers
-from lmpchain.report.verdicts import _contacts_verdict, facts
+from lmpchain.report.document import title
+from lmpchain.report.live import VIEW, View, crop, extent, figure_numbers, view
+from lmpchain.report.verdicts import facts
 from lmpchain.trajectory.record import ErrorEstimate
+
+
+def shown(run: Trajectory) -> View:
+    """Return the part of a run that the live figure of a page shows."""
+    return view(run, extent(crop(run))).thinned(VIEW.times, VIEW.grains)
 
 
 def figure(run: Trajectory) -> dict[str, Any]:
     """Return the data that the script of the live figure reads from a page."""
-    return arrays(figure_numbers([_view(run, None)]))
+    return arrays(figure_numbers([shown(run)]))
 
 
 CHAIN = Chain(grains=40, diameter=1e-3)
@@ -266,10 +270,9 @@ def test_nan_is_shown_as_rest_in_the_live_view():
 
 def test_equal_arrays_are_stored_once():
     """Linear theory of one chain is equal for all strikes, apart from its unit."""
-    t = moved(20, 30)
-    shown = _view(t, None)
-    loud = replace(shown, velocity=3 * shown.velocity)
-    one, three = figure_numbers([shown, loud])["runs"]
+    plain = shown(moved(20, 30))
+    loud = replace(plain, velocity=3 * plain.velocity)
+    one, three = figure_numbers([plain, loud])["runs"]
     assert one["velocity"][0] == three["velocity"][0]
     assert 3 * one["velocity"][1] == pytest.approx(three["velocity"][1])
 
@@ -278,7 +281,7 @@ def test_the_live_view_draws_the_arrival_of_a_weak_wave(priced: Trajectory):
     """The time is sqrt(m / k) per contact from the struck grain, if weak waves travel."""
 
     def arrival(scene: Scene) -> Any:
-        return live_view._law(replace(priced, scene=scene), np.arange(1, 41))
+        return view(replace(priced, scene=scene), (1, 40)).law
 
     chain = priced.scene.chain
     stiffness = 1.5 * chain.contact_constants * np.sqrt(chain.equilibrium_overlap)
@@ -291,9 +294,8 @@ def test_the_live_view_draws_the_arrival_of_a_weak_wave(priced: Trajectory):
     first = arrival(priced.scene)
     assert np.diff(first)[1:] == pytest.approx(slow[1:], rel=1e-9)
     walled = chain.replace(top="wall")
-    wall = Scene(
-        chain=walled, excitation=Drive(amplitude=1e-9, frequency=1e4, grain=0), duration=1e-5
-    )
+    drive = Drive(amplitude=1e-9, frequency=1e4, grain=0)
+    wall = priced.scene.replace(chain=walled, excitation=drive)
     assert np.diff(arrival(wall))[1:].shape == (38,)
     assert arrival(wall)[0] == 0.0
     profile = priced.scene.replace(excitation=Profile(velocity=[1e-3, *[0.0] * 39]))
@@ -348,6 +350,10 @@ def test_a_file_states_its_origin_in_the_history(tmp_path: Path):
 @pytest.mark.parametrize("order", [1, -1])
 def test_contacts_open_if_grains_separate_by_more_than_their_overlap(order: int):
     """The grains above a contact rise by a multiple of its overlap, which differs from others."""
+
+    def contacts(run: Trajectory) -> str:
+        return dict(facts(run, None, "", 1e-6))["contacts"]
+
     chain = Chain(grains=6, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-6, samples=4)
     still = simulate(scene)
@@ -359,9 +365,9 @@ def test_contacts_open_if_grains_separate_by_more_than_their_overlap(order: int)
             motion = np.zeros((4, 5))
             motion[1:3] = -rise * chain.equilibrium_overlap[contact - 1] * (grains <= contact)
             run = replace(still, grains=grains, displacement=motion)
-            assert _contacts_verdict(run) == verdict
+            assert contacts(run) == verdict
     apart = replace(still, grains=grains[::2], displacement=still.displacement[:, ::2])
-    assert _contacts_verdict(apart) == "none between two recorded grains"
+    assert contacts(apart) == "none between two recorded grains"
 
 
 GRAINS = np.arange(2, 21)

@@ -11,7 +11,7 @@ from helpers.example_scenes import scene_of
 from helpers.live_figure import arrays, numbers_of
 
 import lmpchain
-from lmpchain import Chain, Damping, Drive, Impulse, InputError, Scene, simulate
+from lmpchain import Chain, Damping, Drive, Force, Impulse, InputError, Scene, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.report import exploration
 
@@ -97,7 +97,7 @@ def test_without_compression_there_is_no_linear_theory(tmp_path: Path):
     assert not shown["rest"].any()
 
 
-def explored(folder: Path, scene: Scene, **options: Any) -> Path:
+def explored(folder: Path, scene: Any, **options: Any) -> Path:
     """Write the page of a scene; return its path."""
     lmpchain.explore({"scene": scene} | options, folder / "page.html", overwrite=True)
     return folder / "page.html"
@@ -208,24 +208,39 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         assert fault.count("\n") == 1, fault
 
 
-def test_a_slider_starts_at_the_value_nearest_to_the_scene():
+def sliders(folder: Path, scene: Any, over: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the sliders of a page about short runs of a few grains."""
+    return numbers_of(explored(folder, scene, over=over))["axes"]
+
+
+BRIEF = scene_of(Chain(grains=3, diameter=1e-3), Impulse(velocity=1e-3), 1e-6, 11)
+
+
+def test_a_slider_starts_at_the_value_nearest_to_the_scene(tmp_path: Path):
     """Nearest in ratio on a logarithmic slider, and the middle if the scene has no such value."""
     even, ratios = [-2e-3, -1e-3, 0.0, 1e-3], [1e-6, 1e-5, 1e-3, 1e-1]
     for values, velocity, start in (
         *((even, v, n) for v, n in ((1e-3, 3), (-2e-3, 0), (-0.6e-3, 1), (0.4e-3, 2), (9.0, 3))),
         *((ratios, v, n) for v, n in ((2e-6, 0), (2e-4, 2), (9e-5, 1), (-1e-6, 2), (0.0, 2))),
     ):
-        scene = SCENE.replace(excitation=Impulse(velocity=velocity))
-        for source in (scene, {"excitation": {"velocity": velocity}}):
-            slider = exploration._axis("excitation.velocity", values, source, "impulse")
-            assert (slider.log, slider.start) == (values is ratios, start)
-    for key, unit in (("amplitude", "N"), ("frequency", "Hz"), ("velocity", "m/s")):
-        other = exploration._axis(f"source.{key}", even, SCENE, "force")
-        assert (other.start, other.unit) == (2, unit)
-    assert exploration._axis("excitation.amplitude", even, SCENE, "drive").unit == "m"
+        scene = BRIEF.replace(excitation=Impulse(velocity=velocity))
+        source = scene if start % 2 else scene.to_dict()
+        (slider,) = sliders(tmp_path, source, {"excitation.velocity": values})
+        assert (slider["log"], slider["start"]) == (values is ratios, start)
+    for excitation, unit in (
+        (Force(amplitude=1e-6, frequency=1e4), "N"),
+        (Drive(amplitude=1e-10, frequency=1e4), "m"),
+    ):
+        over = {"excitation.amplitude": [1e-10, 2e-10], "excitation.frequency": [1e4, 2e4]}
+        axes = sliders(tmp_path, BRIEF.replace(excitation=excitation), over)
+        assert [axis["unit"] for axis in axes] == [unit, "Hz"]
+    # The tables of a scene without a load have no such key.
+    for source, start in ((BRIEF.to_dict(), 1), (BRIEF, 0)):
+        (slider,) = sliders(tmp_path, source, {"chain.top_load": [0.1, 0.2, 0.35]})
+        assert (slider["start"], slider["unit"]) == (start, "N")
 
 
-def test_a_slider_is_logarithmic_for_constant_ratios_or_two_decades():
+def test_a_slider_is_logarithmic_for_constant_ratios_or_two_decades(tmp_path: Path):
     for values, log in (
         ([1.0, 2.0, 4.0], True),
         ([1.0, 2.0, 4.001], False),
@@ -235,8 +250,8 @@ def test_a_slider_is_logarithmic_for_constant_ratios_or_two_decades():
         ([0.0, 1.0, 200.0], False),
         ([1.0, 200.0], False),
     ):
-        slider = exploration._axis("chain.gravity", values, SCENE, "impulse")
-        assert (slider.log, slider.unit, slider.values) == (log, "m/s²", values)
+        (slider,) = sliders(tmp_path, BRIEF, {"chain.gravity": values})
+        assert (slider["log"], slider["unit"], slider["values"]) == (log, "m/s²", values)
 
 
 SAID = "document.getElementById('said').textContent"
