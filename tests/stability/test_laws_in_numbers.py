@@ -513,7 +513,7 @@ def test_long_measurements_are_replaced_by_predictions(monkeypatch: pytest.Monke
 
 def test_the_expected_time_is_that_of_runs_and_followed_periods() -> None:
     """A search takes 60 runs at the limit; energies are followed for 1000 periods of 40 steps."""
-    for scene in (STRUCK, WEAK.replace(duration=1e-2)):
+    for scene in (STRUCK, *(WEAK.replace(duration=time) for time in (1e-2, 100.0))):
         expected = 0.0
         for name, method in METHODS.items():
             costs = [Native().seconds_per_grain_step]
