@@ -382,12 +382,11 @@ class Energy(_AtTime):
         slopes = view.slopes(float(m @ v**2 / 2 + energy.sum()))
         slopes.displacement[look] = np.diff(change)[at]
         if chain.ground is not None:
+            # With a ground, derivatives are differences of values.
             owned = np.isin(np.arange(chain.grains) + 1, self.group)
-            pull = owned * chain.ground.force(u, 0.0)
             slopes = slopes._replace(
                 value=slopes.value + float(owned @ ground.energy(chain.ground, u))
             )
-            slopes.displacement[look] += pull[at]
         slopes.velocity[look] = m * v
         slopes.masses[at] = inside * v**2 / 2
         slopes.constants[:] = -softer / np.where(contacts.exists, contacts.constant, 1.0)
