@@ -507,7 +507,7 @@ class RunColumn:
             up = stiff[0]
         else:
             struck = int(np.abs(self.v).argmax())
-            up = struck > len(self.v) // 2 or not self.v.any()
+            up = 2 * struck >= len(self.v) or not self.v.any()
         # The coordinate increases along the axis; the top has the largest one if the axis points
         # up.
         if up:

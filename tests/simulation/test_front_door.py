@@ -39,6 +39,7 @@ from lmpchain.simulation import api, folder_files, many, run_folder
 from lmpchain.simulation.folder_files import (
     check_new,
     load_checkpoints,
+    order_hash,
     remove,
     renew,
     resume_command,
@@ -521,8 +522,11 @@ def test_a_changed_task_is_detected(tmp_path, small_blocks):
         {"best_effort": True},
         {"options": asked["options"] | {"threads": 2}},
     )
+    unusual = asked | {"best_effort": 0}
+    sealed = json.dumps(unusual | {"sha256": order_hash(unusual, text)})
     for path, changed, fault in (
         *((file, json.dumps(asked | change), differ) for change in changes),
+        (file, sealed, "an entry is .* invalid"),
         (file, "{}", ""),
         (scene, text.replace("samples = 61", "samples = 62"), differ),
         (scene, text.replace("grains", "grain"), ""),
