@@ -273,7 +273,7 @@ def test_numbers_from_0_and_above_0():
     for value, message in (
         (-5e-324, "must be a finite number from 0"), (np.inf, "must be a finite number from 0"),
         (True, "must be a number or a list"), ("1", "must be a number or a list"),
-        ([1.0, -0.5], "must be from 0, but entry 2 is -0.5"), ([], "not of shape"),
+        ([0.5, -0.5], "must be from 0, but entry 2 is -0.5"), ([], "not of shape"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):
             non_negative(value)
