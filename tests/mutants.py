@@ -136,7 +136,7 @@ def mutate(node: ast.AST) -> str | None:
 
 
 def walk(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes that are executed, without annotations, parts of f-strings, and looks."""
+    """Yield executed nodes, without parts of f-strings and keywords that change no result."""
     if isinstance(node, ast.keyword) and WITHOUT_RESULT.fullmatch(node.arg or ""):
         return
     yield node

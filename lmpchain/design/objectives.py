@@ -615,11 +615,8 @@ class Function:
         motion = view.displacement[:, columns], view.velocity[:, columns]
         answer = self.function(view.time, *motion)
         shape = motion[0].shape
-        if not isinstance(answer, tuple) or [np.shape(part) for part in answer] != [
-            (),
-            shape,
-            shape,
-        ]:
+        shapes = [np.shape(part) for part in answer] if isinstance(answer, tuple) else []
+        if shapes != [(), shape, shape]:
             message = f"its function must return a number and two arrays of shape {shape}"
             raise InputError.at("objective", message)
         value, *derivatives = (numbers(part, "objective") for part in answer)
